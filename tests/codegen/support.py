@@ -99,9 +99,10 @@ def random_point(functions: Functions, seed: int) -> Point:
 
 
 def random_parameters(functions: Functions, seed: int) -> np.ndarray:
-    """Parameters of a plausible vehicle."""
+    """Parameters of a plausible vehicle; its hardware is that of the file."""
     rng = random.Random(1000 + seed)
-    return np.array([_plausible(functions.vehicle, n, rng) for n in functions.parameter_names])
+    own = [_plausible(functions.vehicle, n, rng) for n in functions.parameter_names]
+    return np.array([*own, *(n.value for n in functions.hardware)])
 
 
 def _plausible(vehicle: Vehicle, name: str, rng: random.Random) -> float:

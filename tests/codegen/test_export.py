@@ -25,7 +25,7 @@ from tests.codegen.support import (
 from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
-from undertow.codegen import Simulator
+from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
 from undertow.codegen.library import Library
 from undertow.codegen.source import digest
@@ -92,7 +92,7 @@ def test_every_function_equals_the_virtual_machine(name: str, c_compiler: Compil
     command = [*c_compiler.command, *STRICT, "-O1", "-shared", "-fPIC", *sources, "-lm", "-o", "model.so"]
     subprocess.run(command, cwd=folder, check=True)
     library = ctypes.CDLL(str(folder / "model.so"))
-    functions = functions_of(name)
+    functions = Functions(named_vehicle(name), named=True)
     point = random_point(functions, 8)
     values = {"x": point.x, "nu_dot": point.nu_dot, "u": point.u, "p": point.p, "t": point.t}
     for kind in ("dynamics", "jacobians", "residual_function", "regressor", "outputs"):
@@ -257,7 +257,9 @@ def test_the_manifest_records_the_model(tmp_path: Path) -> None:
     folder = Library(vehicle).write(tmp_path).folder
     content = json.loads((folder / "manifest.json").read_text())
     assert content["effects"] == [e.id for e in vehicle.effects]
-    assert [p["name"] for p in content["parameters"]] == list(vehicle.parameter_names)
+    own = ("e_x", "e_y", "e_z", "lever_x", "lever_y", "lever_z")
+    hardware = [f"{what}_{t.name}" for t in vehicle.thrusters for what in own]
+    assert [p["name"] for p in content["parameters"]] == [*vehicle.parameter_names, *hardware]
     values = {p["name"]: (p["value"], p["unit"]) for p in content["parameters"]}
     assert values["m"] == (12.5, "kg")
     assert values["thrust_T1"] == (1.0, "N/command")
@@ -326,12 +328,19 @@ def test_a_new_value_is_reported(tmp_path: Path) -> None:
     assert _changes(before, after, tmp_path) == ("parameters changed: X_u -0.72253 N/(m/s) -> -0.8 N/(m/s)",)
 
 
-def test_a_thruster_that_moved_changes_its_rows(tmp_path: Path) -> None:
+def test_a_thruster_that_moved_has_another_place_in_the_struct(tmp_path: Path) -> None:
     before = named_vehicle("cybership2")
     first, *others = before.thrusters
-    moved = Thruster(first.name, (*first.wrench[:5], first.wrench[5] + 0.1))
+    moved = replace(first, wrench=(*first.wrench[:5], 0.178), position=(-0.499, -0.178, 0.0))
     assert _changes(before, replace(before, thrusters=(moved, *others)), tmp_path) == (
-        "rows changed: r_dot (1 of 6)",
+        "parameters changed: place_y_T1 -0.078 m -> -0.178 m",
+    )
+    # A file that states the moment itself has that in the place of a position.
+    stated = Thruster(first.name, first.wrench)
+    report = _changes(before, replace(before, thrusters=(stated, *others)), tmp_path)
+    assert report[:2] == (
+        "parameters added: lever_z_T1",
+        "parameters removed: place_x_T1, place_y_T1",
     )
 
 

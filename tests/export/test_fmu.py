@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -116,6 +117,31 @@ def test_model_exchange_gives_the_rates_forces_and_slopes_of_the_model(
         np.testing.assert_allclose(slope(rates, known, seed.tolist()), expected, rtol=1e-10, atol=1e-12)
     model.terminate()
     model.freeInstance()
+
+
+@built
+def test_a_thruster_of_a_unit_may_be_moved(tmp_path: Path) -> None:
+    unit, path = _unit("mini-auv", "3.0", tmp_path)
+    first, second, *others = unit.vehicle.thrusters
+    moved = replace(second, wrench=(*second.wrench[:5], 0.4), position=(0.0, -0.4, 0.0))
+    functions = Functions(replace(unit.vehicle, thrusters=(first, moved, *others)))
+    t = 0.05 * np.arange(101)
+    u = np.tile([-7.2, 0.5, -7.2, 0.3], (len(t), 1))
+    start = np.zeros(len(functions.state_names))
+    expected = Simulator(functions).run(start, t, u, np.array(functions.values()))
+    inputs = [v.name for v in unit.variables if v.causality == "input"]
+    found = fmpy.simulate_fmu(
+        _compiled(path, tmp_path),
+        fmi_type="CoSimulation",
+        stop_time=t[-1],
+        step_size=0.05,
+        output_interval=0.05,
+        start_values=dict(zip(inputs, u[0], strict=True)) | {"place_y_f2": -0.4},
+        output=list(functions.state_names),
+    )
+    states = np.array([found[n] for n in functions.state_names]).T
+    assert abs(expected[-1][3]) > 0.1  # it turns
+    np.testing.assert_allclose(states, expected, rtol=1e-9, atol=1e-9)
 
 
 def _exchange(unit: Fmu, folder: Path, version: Version) -> tuple[Any, ...]:

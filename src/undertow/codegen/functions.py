@@ -11,6 +11,7 @@ import sympy as sm
 
 from undertow.model.composition import stated
 from undertow.model.effect import Flow, Wrench
+from undertow.model.hardware import with_names
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -35,11 +36,18 @@ class Functions:
     the time in s. `equal` has parameters that are a multiple of another one: name to (name of the other,
     factor), SNAME signs, what the vehicle's file leaves to another one among them; their own entry of p has
     no effect.
+
+    With `named`, for code that others use, the numbers of the hardware are parameters, too, which follow p
+    where functions are given p, and no parameter follows another one.
     """
 
-    def __init__(self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None) -> None:
-        self.vehicle, self.equal = vehicle, _with_tied(vehicle, equal or {})
-        composition = vehicle.composition
+    def __init__(
+        self, vehicle: Vehicle, equal: Mapping[str, tuple[str, float]] | None = None, *, named: bool = False
+    ) -> None:
+        self.equal = {} if named else _with_tied(vehicle, equal or {})
+        self.vehicle, hardware = with_names(vehicle) if named else (vehicle, ())
+        composition = self.vehicle.composition
+        self.hardware = tuple(n for n in hardware if n.name in composition.names)
         self._actuator_output, self._actuator_rates, self._actuator_rest = composition.chain
         self._memory = composition.wrench_states
         self.eta, self.nu, self.nu_dot = (
@@ -48,11 +56,12 @@ class Functions:
         self.memory = ca.SX.sym("memory", len(self._memory))
         self.actuator_states = ca.SX.sym("actuator", len(self._actuator_rates))
         self.u = ca.SX.sym("u", len(composition.commands))
-        self.p = ca.SX.sym("p", len(vehicle.parameter_names))
+        self.p = ca.SX.sym("p", len(self.parameter_names))
+        self._places = ca.SX.sym("hardware", len(self.hardware))
         self.t = ca.SX.sym("t")
         self.actuation = ca.SX.sym("actuation", len(composition.actuation))
         self.convert = Converter(self._environment())
-        self._define_relations()
+        self._define_relations({n.symbol: sm.Float(n.value) for n in hardware})
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -62,6 +71,16 @@ class Functions:
     def followers(self, name: str) -> dict[str, float]:
         """Parameters that are multiples of one, with their factors."""
         return {follower: factor for follower, (other, factor) in self.equal.items() if other == name}
+
+    @property
+    def numbers(self) -> ca.SX:
+        """What functions are given as p: the parameters, and then the numbers of the hardware."""
+        return ca.vertcat(self.p, self._places)
+
+    @property
+    def number_names(self) -> tuple[str, ...]:
+        """Names of its entries."""
+        return (*self.parameter_names, *(n.name for n in self.hardware))
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -86,6 +105,7 @@ class Functions:
             (list(self._memory), self.memory),
             (list(self._actuator_rates), self.actuator_states),
             (names, self._own_or_tied() if self.equal else self.p),
+            ([n.symbol for n in self.hardware], self._places),
             ([composition.signals.t], self.t),
         )
         known = {
@@ -99,7 +119,7 @@ class Functions:
         tied = [self.equal.get(name, (name, 1.0)) for name in names]
         return ca.vertcat(*[factor * self.p[names.index(other)] for other, factor in tied])
 
-    def _define_relations(self) -> None:
+    def _define_relations(self, hardware: Mapping[sm.Symbol, sm.Expr]) -> None:
         composition = self.vehicle.composition
         states = [x for e in composition.effects for x in e.state_symbols]
         parameters = [symbol(n) for n in self.vehicle.declared_parameters]
@@ -109,7 +129,8 @@ class Functions:
         # What the degrees of freedom cannot show is multiplied by a locked motion, that is by zero.
         self.convert.define({x: sm.Integer(0) for x in [*states, *parameters] if x not in kept})
         # It may be divided by what is constant in the world, so that this is no zero.
-        world = {symbol(n): sm.Float(v) for n, v in self.vehicle.environment.items()}
+        world = {symbol(n): sm.Float(v) for n, v in self.vehicle.environment.items()} | dict(hardware)
+        known |= {n.symbol for n in self.hardware}
         self.convert.define({x: value for x, value in world.items() if x not in known})
         self._define_water()
         self.convert.define(directional)
@@ -231,7 +252,7 @@ class Functions:
     # --- functions ----------------------------------------------------------------------------
     @property
     def _inputs(self) -> list[ca.SX]:
-        return [self.x, self.u, self.p, self.t]
+        return [self.x, self.u, self.numbers, self.t]
 
     def _function(self, name: str, outputs: list[ca.SX], output_names: list[str]) -> ca.Function:
         return ca.Function(
@@ -261,7 +282,7 @@ class Functions:
         return prepared(self)
 
     def tangents(self, *with_respect_to: str) -> ca.Function:
-        """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p; the R are sparse.
+        """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p and numbers; R are sparse.
 
         d(x_dot)/da is R_a = d(balance)/da at the acceleration, with the rows of the acceleration multiplied
         by W, the inverse of M. That is what differentiating M a = f gives; it costs far less than the
@@ -269,7 +290,7 @@ class Functions:
         """
         acceleration = self.x_dot[self.acceleration_rows]
         inverse = solve_symmetric(self.mass_matrix, ca.SX.eye(self.nu_dot.numel()))
-        by = {"x": self.x, "u": self.u, "p": self.p}
+        by = {"x": self.x, "u": self.u, "p": self.p, "numbers": self.numbers}
         jacobians = [ca.jacobian(self.balance, by[v]) for v in with_respect_to]
         slopes = [ca.substitute(j, self.nu_dot, acceleration) for j in jacobians]
         outputs = ca.cse([ca.densify(self.x_dot), ca.densify(inverse), *slopes])
@@ -279,8 +300,12 @@ class Functions:
     @cached_property
     def jacobians(self) -> ca.Function:
         """`(x_dot, A, B, P) = jacobians(x, u, p, t)`: derivatives in state, input and parameters."""
+        return self.jacobians_by("p")
+
+    def jacobians_by(self, parameters: str) -> ca.Function:
+        """The same in "p", or in all "numbers" that functions are given as p."""
         inputs = [ca.MX.sym(n, s.shape) for n, s in zip("xupt", self._inputs, strict=True)]
-        x_dot, inverse, *slopes = self.tangents("x", "u", "p")(*inputs)
+        x_dot, inverse, *slopes = self.tangents("x", "u", parameters)(*inputs)
         rows = self.acceleration_rows
         solved = [ca.vertcat(r[: rows.start, :], inverse @ r[rows, :], r[rows.stop :, :]) for r in slopes]
         names = ["x", "u", "p", "t"], ["x_dot", "A", "B", "P"]
@@ -294,12 +319,12 @@ class Functions:
     @cached_property
     def rest(self) -> ca.Function:
         """`z = rest(u, p, t)`: states of the actuation that belong to commands held for long."""
-        return ca.Function("rest", [self.u, self.p, self.t], [ca.densify(self.actuator_rest)])
+        return ca.Function("rest", [self.u, self.numbers, self.t], [ca.densify(self.actuator_rest)])
 
     @cached_property
     def dead_time(self) -> ca.Function:
         """`s = dead_time(p)`: delay between command and thrust, s."""
-        return ca.Function("dead_time", [self.p], [self.convert(self.vehicle.composition.dead_time)])
+        return ca.Function("dead_time", [self.numbers], [self.convert(self.vehicle.composition.dead_time)])
 
     def late(self, values: Sequence[float] | Array | None = None) -> tuple[float, dict[str, float]]:
         """Dead time of the inputs, and of the outputs that come late by name, s.
@@ -307,7 +332,12 @@ class Functions:
         For values of the parameters, the vehicle's unless given.
         """
         p = self.values() if values is None else values
-        ages = ca.Function("report_age", [self.p], [ca.densify(self.report_age)])(p).full().ravel().tolist()
+        ages = (
+            ca.Function("report_age", [self.numbers], [ca.densify(self.report_age)])(p)
+            .full()
+            .ravel()
+            .tolist()
+        )
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         return float(self.dead_time(p)), {n: s for n, s in zip(names, ages, strict=True) if s}
 
@@ -327,12 +357,13 @@ class Functions:
         return ca.substitute(self.residual, self.actuation, self.actuator_output)
 
     def _with_acceleration(self, name: str, output: ca.SX, output_name: str) -> ca.Function:
-        inputs = [self.x, self.nu_dot, self.u, self.p, self.t]
+        inputs = [self.x, self.nu_dot, self.u, self.numbers, self.t]
         return ca.Function(name, inputs, [ca.densify(output)], ["x", "nu_dot", "u", "p", "t"], [output_name])
 
     def values(self) -> list[float]:
-        """Values of p in the vehicle."""
-        return [self.vehicle.value_of(n).value for n in self.parameter_names]
+        """Values in the vehicle of what functions are given as p."""
+        own = [self.vehicle.value_of(n).value for n in self.parameter_names]
+        return [*own, *(n.value for n in self.hardware)]
 
 
 # --- the dynamics in two steps --------------------------------------------------------------------

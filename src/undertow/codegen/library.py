@@ -31,7 +31,7 @@ class Library:
     """The generated files of a vehicle, with further parts (controllers, observers) by name."""
 
     def __init__(self, vehicle: Vehicle, more: Iterable[tuple[str, Writer]] = ()) -> None:
-        self.vehicle, self._functions = vehicle, Functions(vehicle)
+        self.vehicle, self._functions = vehicle, Functions(vehicle, named=True)
         self.folder_name = slug(vehicle.name)
         self.name = identifier(self.folder_name)
         self._dialect = Dialect(self.name)

@@ -89,14 +89,17 @@ def describe(functions: Functions) -> Manifest:
         effects=tuple(e.id for e in vehicle.effects),
         states=tuple(Entry(n, _state_unit(functions, n)) for n in functions.state_names),
         inputs=tuple(Entry(n, unit) for n, unit in vehicle.command_units.items()),
-        parameters=tuple(
-            Entry(n, _parameter_unit(functions, n), v)
-            for n, v in zip(functions.parameter_names, functions.values(), strict=True)
-        ),
+        parameters=numbers_of(functions),
         input_delay=input_delay,
         output_delay=output_delay,
         rows=_rows(functions),
     )
+
+
+def numbers_of(functions: Functions) -> tuple[Entry, ...]:
+    """What functions are given as p, with the values of the vehicle."""
+    pairs = zip(functions.number_names, functions.values(), strict=True)
+    return tuple(Entry(n, _parameter_unit(functions, n), v) for n, v in pairs)
 
 
 def whole_samples(seconds: float, dt: float) -> int:
@@ -118,15 +121,16 @@ def _state_unit(functions: Functions, name: str) -> str:
 
 def _parameter_unit(functions: Functions, name: str) -> str:
     found = functions.vehicle.parameter_of(name)
-    return found.unit if found else _UNITS.get(name, "")
+    units = _UNITS | {n.name: n.unit for n in functions.hardware}
+    return found.unit if found else units.get(name, "")
 
 
 def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
-    arguments = [functions.x, functions.nu_dot, functions.u, functions.p, functions.t]
+    arguments = [functions.x, functions.nu_dot, functions.u, functions.numbers, functions.t]
     evaluate = ca.Function("balance", arguments, [ca.densify(functions.balance)])
     vehicle = functions.vehicle
     accelerations = [f"{n}_dot" for n in vehicle.velocity_names]
-    moving = [functions.state_names, accelerations, vehicle.command_names, functions.parameter_names, ["t"]]
+    moving = [functions.state_names, accelerations, vehicle.command_names, functions.number_names, ["t"]]
     columns = [
         evaluate(*([_coordinate(n, k, signed=i < 3) for n in names] for i, names in enumerate(moving)))
         for k in range(_POINTS)

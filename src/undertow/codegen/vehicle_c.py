@@ -31,7 +31,8 @@ def vehicle_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
     n, upper = c.library, c.library.upper()
     p = _parameters(c, manifest)
     made = {f"{n}_dynamics": functions.dynamics, f"{n}_outputs": functions.outputs}
-    sizes = {"STATES": len(manifest.states), "INPUTS": len(manifest.inputs), "PARAMETERS": len(p.members)}
+    sizes = {"STATES": len(manifest.states), "INPUTS": len(manifest.inputs)}
+    sizes |= {"PARAMETERS": len(functions.parameter_names)}
     sizes["DOF"] = len(functions.vehicle.degrees_of_freedom)
     counts = ", ".join(f"{upper}_{what} = {size}" for what, size in sizes.items())
     template = (files("undertow.codegen") / "templates" / "vehicle.c").read_text(encoding="utf-8")
@@ -62,7 +63,8 @@ def jacobians_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
     }
     words = (
         "/* Dynamics, and derivatives in the state A (STATES x STATES), the input B (STATES x INPUTS) and\n"
-        "   the parameters P (STATES x PARAMETERS, in the order of the struct); matrices row by row. */",
+        "   the parameters P (STATES x PARAMETERS: the first members of the struct, without those of the\n"
+        "   hardware, which follow); matrices row by row. */",
         "\n/* Sum of forces and moments, N and N m, at an acceleration nu_dot: zero at the true one. */",
         "\n/* Derivative of the residual in the parameters: Y (DOF x PARAMETERS). */",
     )

@@ -74,7 +74,7 @@ class Fmu:
         self, vehicle: Vehicle, version: Version = "3.0", settings: FmuSettings | None = None
     ) -> None:
         self.vehicle, self.version, self.settings = vehicle, version, settings or FmuSettings()
-        self._functions = Functions(vehicle)
+        self._functions = Functions(vehicle, named=True)
         self._manifest = describe(self._functions)
         self.name = identifier(slug(vehicle.name))
 
@@ -159,7 +159,7 @@ class Fmu:
             "VERSION": __version__,
             "NX": f.x.numel(),
             "NU": f.u.numel(),
-            "NP": f.p.numel(),
+            "NP": f.numbers.numel(),
             "NF": f.nu.numel(),
             "TOKEN": self.token,
             "START": ", ".join(repr(v).replace("inf", "INFINITY") for v in starts),
@@ -184,16 +184,16 @@ class Fmu:
     @property
     def _inputs(self) -> list[ca.SX]:
         f = self._functions
-        return [f.x, f.u, f.p, f.t]
+        return [f.x, f.u, f.numbers, f.t]
 
     @cached_property
     def _slopes(self) -> ca.Function:
         """`s = slopes(x, u, p, t)`: x_dot and the forces by x, u and p, shape (nx + n, nx + nu + np)."""
         inputs = [ca.MX.sym(n, v.shape) for n, v in zip("xupt", self._inputs, strict=True)]
         f, forces = self._functions, self._forces(*self._inputs)
-        by = ca.jacobian(forces, ca.vertcat(f.x, f.u, f.p))
+        by = ca.jacobian(forces, ca.vertcat(f.x, f.u, f.numbers))
         rows = ca.Function("force_slopes", self._inputs, [ca.densify(by)])
-        matrix = ca.vertcat(ca.horzcat(*f.jacobians(*inputs)[1:]), rows(*inputs))
+        matrix = ca.vertcat(ca.horzcat(*f.jacobians_by("numbers")(*inputs)[1:]), rows(*inputs))
         return ca.Function("slopes", inputs, [matrix], ["x", "u", "p", "t"], ["s"])
 
     # --- the description ------------------------------------------------------------------------

@@ -289,13 +289,17 @@ class Composition:
         return sm.Matrix.vstack(self._rows(total[:6, :]), self._rows(total[6:, :]))
 
     @cached_property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Parameters that occur in the equations, in the order of the effects; environment last."""
+    def names(self) -> frozenset[str]:
+        """Names of all symbols that occur in the equations."""
         chain, rates, _ = self.chain
         parts = [self.residual, chain, *self.reported, sm.Matrix([self.dead_time]), self.report_age]
         parts += [sm.Matrix(list(rates.values()) or [0]), sm.Matrix(list(self.wrench_states.values()) or [0])]
-        used = {x.name for part in parts for x in part.free_symbols}
-        return tuple(n for n in self._declared_names() if n in used)
+        return frozenset(x.name for part in parts for x in part.free_symbols)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Parameters that occur in the equations, in the order of the effects; environment last."""
+        return tuple(n for n in self._declared_names() if n in self.names)
 
     def _declared_names(self) -> list[str]:
         names: dict[str, None] = {}

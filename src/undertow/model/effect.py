@@ -434,6 +434,8 @@ def kind_of(effect: Effect | type[Effect]) -> str:
 
 
 # --- hardware as effects see it -------------------------------------------------------------------
+ACROSS = 1e-6
+"""Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files."""
 Number = Any  # a float, or a symbol on a specimen
 
 
@@ -461,12 +463,12 @@ class Surface:
     @property
     def place(self) -> sm.Matrix:
         """The position as a column, shape (3, 1), m."""
-        return sm.Matrix([_exact(v) for v in self.position])
+        return sm.Matrix([exact(v) for v in self.position])
 
     @property
     def turned_about(self) -> sm.Matrix:
         """The axis as a column, shape (3, 1)."""
-        return sm.Matrix([_exact(v) for v in self.axis])
+        return sm.Matrix([exact(v) for v in self.axis])
 
     @property
     def symbols(self) -> dict[sm.Symbol, str]:
@@ -498,10 +500,10 @@ class Propeller:
 class Curve:
     """Thrust at rest over the command: cubic pieces with continuous slope, constant beyond the ends."""
 
-    start: float  # thrust at the first command and below, N
+    start: Number  # thrust at the first command and below, N
     # commands between which a piece holds, and what it adds to the thrust at its begin: coefficients of the
     # first, second ... power of the command beyond the begin, N
-    pieces: tuple[tuple[float, float, tuple[float, ...]], ...]
+    pieces: tuple[tuple[Number, Number, tuple[Number, ...]], ...]
 
     @classmethod
     def through(cls, points: Sequence[tuple[float, float]]) -> Curve:
@@ -567,12 +569,12 @@ class Curve:
 @lru_cache(maxsize=64)
 def _thrust(curve: Curve, command: sm.Expr) -> sm.Expr:
     """Kept, as SymPy orders the ends of every piece anew, and several effects ask for the same thrust."""
-    total = sm.Float(curve.start)
+    total = _number(curve.start)
     for begin, end, coefficients in curve.pieces:
-        beyond = sm.Max(sm.Float(begin), sm.Min(command, sm.Float(end))) - sm.Float(begin)
+        beyond = sm.Max(_number(begin), sm.Min(command, _number(end))) - _number(begin)
         powers = sm.Integer(0)
         for c in reversed(coefficients):
-            powers = (powers + sm.Float(c)) * beyond
+            powers = (powers + _number(c)) * beyond
         total += powers
     return total
 
@@ -593,8 +595,12 @@ def _between(h: float, rise: float, after: float, next_rise: float) -> float:
 Law = Propeller | Curve | None
 
 
-def _exact(number: Number) -> sm.Expr:
-    """A whole number without a decimal point, so that zeros and ones vanish from products."""
+def _number(number: Number) -> sm.Expr:
+    return number if isinstance(number, sm.Basic) else sm.Float(number)
+
+
+def exact(number: Number) -> sm.Expr:
+    """A number as an expression, a whole one without a decimal point: zeros and ones vanish from products."""
     if isinstance(number, sm.Basic):
         return number
     return sm.Float(number) if number % 1 else sm.Integer(int(number))

@@ -232,13 +232,17 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     given = table.wrench is not None
     if {table.position is not None, table.direction is not None} != {not given}:
         raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
-    wrench = _numbers(f"{place} wrench", table.wrench) if given else _wrench_of(place, table)
+    position = None if given else _position(place, table)
+    wrench = (
+        _numbers(f"{place} wrench", table.wrench) if position is None else _wrench_at(place, position, table)
+    )
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
     law, unit = _law(place, table, folder)
     limit = _limit(place, table.limit)
     lowest = _lowest(place, table.lowest, limit)
-    return Thruster(table.name, wrench, _thrust_per_command(place, table), limit, lowest, law, unit)
+    push = _thrust_per_command(place, table)
+    return Thruster(table.name, wrench, push, limit, lowest, law, unit, position)
 
 
 # Revolutions per second of one unit of the speed of a propeller, by name.
@@ -394,10 +398,15 @@ def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
     return tuple(si_of(place, entry, "1") for entry in entries or ())
 
 
-def _wrench_of(place: str, table: ThrusterTable) -> tuple[float, ...]:
+def _position(place: str, table: ThrusterTable) -> tuple[float, float, float]:
     assert table.position is not None
-    assert table.direction is not None
     x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+    return x, y, z
+
+
+def _wrench_at(place: str, position: tuple[float, float, float], table: ThrusterTable) -> tuple[float, ...]:
+    assert table.direction is not None
+    x, y, z = position
     a, b, c = _numbers(f"{place} direction", table.direction)
     length = math.hypot(a, b, c)
     if abs(length - 1) > 1e-3:

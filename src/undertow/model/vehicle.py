@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from undertow.notebook import html
 
 from .composition import Composition
-from .effect import Actuation, Curve, Effect, Law, Measurement, Propeller, Surface
+from .effect import Actuation, Curve, Effect, Law, Measurement, Propeller, Surface, exact
 from .effects.control_surfaces import ControlSurfaces
 from .effects.generalised_force import GeneralisedForce
 from .effects.propellers import Propellers
@@ -47,6 +47,8 @@ class Thruster:
     lowest: float | None = None  # lowest command of one that cannot do as much in reverse; None: -limit
     law: Law = None  # how the command becomes thrust; None: in proportion
     command_unit: str = "command"  # unit of the command
+    # where it is, body frame, m; none where the file states the wrench itself
+    position: tuple[float, float, float] | None = None
 
     @property
     def unit(self) -> str:
@@ -283,7 +285,7 @@ class Vehicle:
     @cached_property
     def allocation(self) -> sm.Matrix:
         """Force and moment of one newton of thrust of each thruster, shape (6, n_thrusters), 1 and m."""
-        columns = [[sm.Float(v) if v % 1 else sm.Integer(int(v)) for v in t.wrench] for t in self.thrusters]
+        columns = [[exact(v) for v in t.wrench] for t in self.thrusters]
         return sm.Matrix(columns).T if columns else sm.zeros(6, 0)
 
     @cached_property

@@ -174,13 +174,16 @@ class Design:
         return _function("update", given, outputs, ["xn", "Pn", "nis"])
 
     def numbered(self) -> Numbered:
-        """The same with the numbers of vehicle and observer as an input p, noise as standard deviations."""
+        """The same with the numbers of vehicle and observer as an input p, noise as standard deviations.
+
+        A design `with_names` has those of the hardware among them.
+        """
         process = self.process
         noise, drive = (
             [ca.SX.sym(f"{what}_{name}") for name in names]
             for what, names in (("noise", self.sensors), ("disturbance", process.driven_names))
         )
-        vehicle = [ca.SX.sym(name) for name in process.vehicle.parameter_names]
+        vehicle = [ca.SX.sym(e.name) for e in process.numbers]
         gate = ca.SX.sym("gate")
         numbers = Numbers(ca.vertcat(*vehicle), ca.vertcat(*drive) ** 2, ca.vertcat(*noise) ** 2, gate)
         roots = [*np.sqrt(self.variance), *np.sqrt(self.densities)]
@@ -188,10 +191,21 @@ class Design:
         symbols = [*vehicle, *noise, *drive, gate]
         p = ca.vertcat(*symbols)
         named = {e.name(): v for e, v in zip(symbols, values, strict=True)}
+        ages = {"ages": self._ages(numbers, p)} if self.late else {}
         if self.method == "ukf":
-            return Numbered(self._of_points(numbers, p), named)
+            return Numbered(self._of_points(numbers, p) | ages, named)
         updates = {f"with_{name}": self._updating(k, numbers, p) for k, name in enumerate(self.sensors)}
-        return Numbered({"predict": self._prediction(numbers, p)} | updates, named)
+        return Numbered({"predict": self._prediction(numbers, p)} | updates | ages, named)
+
+    def with_names(self) -> Design:
+        """The same for code that others use: see `Functions`."""
+        own = self.process
+        return replace(self, process=process_of(own.vehicle, own.estimated, own.kind, named=True))
+
+    def _ages(self, numbers: Numbers, p: ca.SX) -> ca.Function:
+        """`age = ages(p)`: how old the reports are, s, by sensor."""
+        ages = ca.substitute(self.process.ages, self.process.p, numbers.vehicle)[list(self.channels)]
+        return _function("ages", {"p": p}, [ca.densify(ages)], ["age"])
 
     def _of_points(self, numbers: Numbers, p: ca.SX) -> dict[str, ca.Function]:
         """What an unscented filter has besides its points: a motion, its noise, and the reports."""

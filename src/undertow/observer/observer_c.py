@@ -50,6 +50,12 @@ _REPORTED = """\
     }"""
 _HEAD = """\
 @REAL@ @NAME@_report_@SENSOR@(@NAME@_memory *m, @REAL@ *x, @REAL@ *P, const @NAME@_parameters *p, @REAL@ y)"""
+# Body of what uses a report that may come late.
+_REPORT = """\
+  @REAL@ age[@SENSORS@];
+  @NAME@_ages(p, age);
+  return @NAME@_late(m, x, P, p, @PLACE@, age[@PLACE@], y);
+"""
 # Body of the update by one sensor.
 _UPDATES = {
     "ekf": """\
@@ -77,6 +83,7 @@ def observer_c(design: Design, c: Dialect) -> Part:
     UndertowError
         If the model cannot be stated in C.
     """
+    design = design.with_names()
     process = design.process
     kind = {"ekf": "extended", "ukf": "unscented"}[design.method]
     what = f"observer {comment(design.name)}, an {kind} Kalman filter"
@@ -99,8 +106,8 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
     spread = np.sqrt(np.diagonal(AT_REST.covariance(process)))
     first = {f"initial_{s}": float(v) for s, v in zip(process.state_names, spread, strict=True)}
     values = {**numbered.values, **first}
-    units = process.vehicle.declared_parameters
-    entries = [Entry(k, units[k].unit if k in units else "", v) for k, v in values.items()]
+    units = {e.name: e.unit for e in process.numbers}
+    entries = [Entry(k, units.get(k, ""), v) for k, v in values.items()]
     # What stands for a start is no number of the functions: the struct has it behind theirs.
     struct = c.struct(f"{name}_parameters", entries)
     given = {"p": struct}
@@ -153,11 +160,10 @@ def _kept(design: Design, fields: dict[str, object], c: Dialect) -> tuple[list[s
         [filled(_LATE, own)],
         [filled(template, own | {"UPDATES": "\n".join(filled(_REPORTED, one) for one in each)})],
     )
-    for name, one in zip(design.sensors, each, strict=True):
+    for one in each:
         head = filled(_HEAD, one)
-        age = c.constant(design.late.get(name, 0.0))
         declared.append(f"{head};")
-        defined.append(f"{head} {{\n  return {own['NAME']}_late(m, x, P, p, {one['PLACE']}, {age}, y);\n}}\n")
+        defined.append(f"{head} {{\n{filled(_REPORT, one)}}}\n")
     return [*declared, ""], defined
 
 

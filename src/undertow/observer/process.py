@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undertow.codegen.functions import Functions
+from undertow.codegen.manifest import Entry, numbers_of
 from undertow.errors import UndertowError, nearest
 from undertow.model.catalogue import catalogue
 from undertow.model.symbols import POSE, VELOCITY
@@ -50,6 +51,8 @@ class Process:
     values: Array  # values of p in the vehicle
     late: Array  # (m,): age of each report, s
     dead_time: float  # delay between command and thrust, s
+    numbers: tuple[Entry, ...] = ()  # entries of p, with their units
+    ages: ca.SX = field(default_factory=lambda: ca.SX(0, 1))  # (m,): age of each report, s, from p
 
     @property
     def driven_names(self) -> tuple[str, ...]:
@@ -79,7 +82,9 @@ class Process:
         return self.state_names.index(name)
 
 
-def process_of(vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "model") -> Process:
+def process_of(
+    vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "model", *, named: bool = False
+) -> Process:
     """The process of a vehicle.
 
     Parameters
@@ -90,6 +95,8 @@ def process_of(vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "mo
         Parameters that become states: V_N, V_E (current, m/s), b_u ... b_r (biases of velocity sensors).
     kind : str
         "model" or "kinematics".
+    named : bool
+        Whether p holds the numbers of the hardware, too, as `Functions` says.
 
     Raises
     ------
@@ -97,7 +104,7 @@ def process_of(vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "mo
         If a parameter is none of these, does not occur, or (the current) does not show in kinematics.
     """
     grown = _with_effects(vehicle, estimated, kind)
-    f = Functions(grown)
+    f = Functions(grown, named=named and kind == "model")
     missing = [name for name in estimated if name not in f.parameter_names]
     if missing:
         raise UndertowError(
@@ -114,7 +121,7 @@ def process_of(vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "mo
         raise UndertowError(
             f"reports of '{vehicle.name}' depend on its forces: estimate with the model (--process model)"
         )
-    n, k = moving.numel(), len(estimated)
+    n, k, ages = moving.numel(), len(estimated), ca.densify(f.report_age)
     return Process(
         grown,
         kind,
@@ -123,13 +130,15 @@ def process_of(vehicle: Vehicle, estimated: Sequence[str] = (), kind: Kind = "mo
         (*noisy, *range(n, n + k)),
         ca.vertcat(moving, theta),
         f.u,
-        f.p,
+        f.numbers,
         f.t,
         ca.vertcat(exchanged[0], ca.SX.zeros(k, 1)),
         exchanged[1],
         np.array(f.values(), dtype=float),
-        np.asarray(ca.Function("late", [f.p], [ca.densify(f.report_age)])(f.values()), dtype=float).ravel(),
+        np.asarray(ca.Function("late", [f.numbers], [ages])(f.values()), dtype=float).ravel(),
         float(f.dead_time(f.values())),
+        numbers_of(f),
+        ages,
     )
 
 

@@ -2,7 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import PerThruster, Signals, Wrench
+from undertow.model.effect import ACROSS, PerThruster, Signals, Wrench
 
 
 class RudderForce(Wrench):
@@ -31,4 +31,4 @@ class RudderForce(Wrench):
     @staticmethod
     def _is_across(ahead: sm.Expr) -> int:
         """1 for a command across the hull, or of unknown direction; directions are rounded in files."""
-        return int(not ahead.is_number or abs(float(ahead)) < 1e-6)
+        return int(abs(float(ahead)) < ACROSS if ahead.is_number else not ahead.is_nonzero)
