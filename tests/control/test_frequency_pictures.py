@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import control as ct
 import numpy as np
 import pytest
@@ -58,3 +60,24 @@ def test_nyquist_and_nichols_draw_the_loop_that_the_margins_are_of() -> None:
     phase, size = line.get_data()
     at_one = np.interp(0.0, np.array(size)[::-1], np.array(phase)[::-1])
     assert 180 + at_one == pytest.approx(margin.phase, abs=0.5)
+
+
+@pytest.mark.parametrize("kind", ["nyquist", "nichols", "singular-values", "disk-margins"])
+def test_axes_have_units_and_curves_that_coincide_are_both_seen(kind: str, tmp_path: Path) -> None:
+    """Roll and pitch of bluerov2 have the same damping and inertia."""
+    path = tmp_path / "gains.toml"
+    gains = ", ".join(f"{c} = 25" for c in ("x", "y", "z", "phi", "theta", "psi"))
+    path.write_text(
+        'schema = "undertow/gains/1"\nname = "rov"\nlaw = "pd"\n[gains]\n'
+        f"K_P = {{ {gains} }}\nK_V = {{ {gains} }}\n"
+    )
+    vehicle = load_vehicle("bluerov2")
+    found = Analysis(vehicle, find_trim(vehicle), load_gains(path, vehicle))
+    (axis,) = picture(kind, found, found.main_channels).axes
+    for label in (axis.get_xlabel(), axis.get_ylabel()):
+        assert label.endswith("]")
+    lines = [x for x in axis.lines if x.get_label().startswith(("force_", "singular"))]
+    assert len(lines) == 6
+    assert any(x.get_linestyle() == "--" for x in lines)
+    assert any(x.get_linestyle() == "-" for x in lines)
+    assert axis.get_legend().get_frame().get_alpha() > 0.5  # no line runs through its words

@@ -20,6 +20,7 @@ from .analysis import (
     duration,
     frequencies,
     locus,
+    modes,
     response,
     singular_values,
     step,
@@ -28,6 +29,12 @@ from .report import Analysis, Channel
 
 # Ratio of the largest to the smallest pole from which axes are logarithmic.
 _SPREAD = 100.0
+# Damping ratio of a pole below which frequencies around it are added.
+_SHARP = 0.3
+# Relative difference of curves in dB, and of those of disks, that look like one: the width of a line; and
+# the line styles of the first, second and further ones.
+_DECIBEL, _DISK = 0.12, 0.012
+_DASHES: tuple[Any, ...] = ("-", (0, (4, 4)), (0, (2, 6)))
 
 
 def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
@@ -95,12 +102,33 @@ def _per(found: Analysis, c: Channel) -> str:
 def _drawn(found: Analysis, channels: Sequence[Channel], draw: Callable[..., None]) -> tuple[Array, str, str]:
     """Let `draw` draw every response over its family; the frequencies, what they are, and the unit."""
     systems, what, unit = _opened(found, channels)
-    omega = frequencies([system for _, system in systems])
-    for colour, (name, system) in zip(_cycle(len(systems)), systems, strict=True):
-        for member in _members(found, name, channels):
+    omega = _with_resonances([system for _, system in systems])
+    lines = [response(name, system, omega) for name, system in systems]
+    styles = _styles([line.y for line in lines])
+    for colour, style, line in zip(_cycle(len(systems)), styles, lines, strict=True):
+        for member in _members(found, line.name, channels):
             draw(response("", member, omega), color=colour, alpha=0.12, linewidth=0.7)
-        draw(response(name, system, omega), color=colour, label=plain(name))
+        draw(line, color=colour, linestyle=style, label=plain(line.name))
     return omega, what, unit
+
+
+def _with_resonances(systems: Sequence[Any]) -> Array:
+    """Frequencies, rad/s, closer together around poles of little damping, where a curve turns quickly."""
+    omega = frequencies(list(systems))
+    rates = np.array([m.rate for s in systems for m in modes(s) if np.isfinite(m.rate)])
+    sharp = rates[np.abs(rates.real) < _SHARP * np.abs(rates)]
+    near = (np.abs(sharp.imag)[:, None] + np.abs(sharp.real)[:, None] * np.linspace(-6, 6, 61)).ravel()
+    return np.union1d(omega, near[(near > omega[0]) & (near < omega[-1])])
+
+
+def _styles(curves: Sequence[Any], alike: float = _DECIBEL) -> list[Any]:
+    """Line styles: dashes for a curve that lies on others everywhere, so that these are seen between them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        covered = [
+            sum(bool(np.all(np.abs(np.log(one / own)) <= alike)) for one in curves[:i])
+            for i, own in enumerate(curves)
+        ]
+    return [_DASHES[min(count, len(_DASHES) - 1)] for count in covered]
 
 
 def decibels(values: Any) -> Any:
@@ -126,7 +154,8 @@ def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
 
     _, what, unit = _drawn(found, channels, draw)
     turn = np.linspace(0.0, 2 * np.pi, 200)
-    axis.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.8, linestyle=":")
+    axis.plot([], [], color=INK, linewidth=0.9, linestyle=":", label="negative frequencies")
+    axis.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.8, label="unit circle")
     axis.plot(-1.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-1")
     # A loop with an integral comes from infinity: what decides is near -1.
     axis.set(xlim=(-3.0, 1.5), ylim=(-2.0, 2.0))
@@ -154,12 +183,13 @@ def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
     """Of all commands to all velocities together, or of all set-points to all coordinates."""
     system = found.together(channels)
     words = f"{_listed(system.input_labels)} to {_listed(system.output_labels)}"
-    omega = frequencies([system])
+    omega = _with_resonances([system])
     values = singular_values(system, omega)
     shown, axes = figure(4.6)
     axis = axes[0, 0]
-    for i, (colour, row) in enumerate(zip(_cycle(len(values)), values, strict=True), start=1):
-        axis.semilogx(omega, decibels(row), color=colour, label=f"singular value {i}")
+    drawn = zip(_cycle(len(values)), _styles(list(values)), values, strict=True)
+    for i, (colour, style, row) in enumerate(drawn, start=1):
+        axis.semilogx(omega, decibels(row), color=colour, linestyle=style, label=f"singular value {i}")
     axis.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
     axis.set(xlabel="frequency [rad/s]", ylabel="singular value [dB re SI]", xlim=(omega[0], omega[-1]))
     return _titled(shown, axes, _title(found, f"singular values, {words}"))
@@ -171,19 +201,20 @@ def _disk_margins(found: Analysis, channels: Sequence[Channel]) -> Figure:
     if loop is None:
         raise UndertowError("disk margins are those of a closed loop: state --gains")
     systems = {f: loop.cut(f) for f in loop.forces}
-    omega = frequencies([s for s in systems.values() if s.nstates])
+    omega = _with_resonances([s for s in systems.values() if s.nstates])
     shown, axes = figure(4.6)
     axis = axes[0, 0]
-    for colour, (force, system) in zip(_cycle(len(systems)), systems.items(), strict=True):
+    curves = [disks(response(force, system, omega).y) for force, system in systems.items()]
+    drawn = zip(_cycle(len(systems)), _styles(curves, _DISK), systems, curves, strict=True)
+    for colour, style, force, values in drawn:
         m = loop.margins[force]
-        words = f"least {m.disk:.3g}" if m.stable else "unstable: no margin"
-        values = disks(response(force, system, omega).y)
-        axis.semilogx(omega, values, color=colour, label=plain(f"{force}, {words}"))
+        words = f"least {m.disk:.2f}" if m.stable else "unstable: no margin"
+        axis.semilogx(omega, values, color=colour, linestyle=style, label=plain(f"{force}, {words}"))
     if found.disk_of_all is not None:
         values = disks_of_all(loop.acting, omega)
-        axis.semilogx(omega, values, "--", color=INK, label=f"all at once, least {found.disk_of_all:.3g}")
+        axis.semilogx(omega, values, "--", color=INK, label=f"all at once, least {found.disk_of_all:.2f}")
     axis.set(
-        xlabel="frequency [rad/s]", ylabel="size of the disk", xlim=(omega[0], omega[-1]), ylim=(0, None)
+        xlabel="frequency [rad/s]", ylabel="size of the disk [1]", xlim=(omega[0], omega[-1]), ylim=(0, None)
     )
     return _titled(shown, axes, _title(found, "disk margins, loop of each force, the others closed"))
 
@@ -293,7 +324,7 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
             _frame(axis, now)
         _plane(axis, found.dt)
         axis.set_title(plain(name, 90))
-        axis.legend()
+        _legend(axis)
     shown.suptitle(_title(found, f"root locus, {what}"), x=0.01, ha="left", fontsize=10)
     _grids(axes)
     return shown
@@ -331,9 +362,14 @@ def _degrees() -> MaxNLocator:
 
 def _titled(shown: Figure, axes: Any, title: str) -> Figure:
     axes[0, 0].set_title(title)
-    axes[0, 0].legend()
+    _legend(axes[0, 0])
     _grids(axes)
     return shown
+
+
+def _legend(axis: Any) -> None:
+    """On a background of its own, so that no line runs through its words."""
+    axis.legend(frameon=True, framealpha=0.9, edgecolor="none", facecolor="white")
 
 
 def _grids(axes: Any) -> None:
