@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import casadi as ca
@@ -33,6 +34,7 @@ from undertow.control.laws import JUMPING, LAWS
 from undertow.control.linear.systems import SettledObserver, close_loop
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value
 from undertow.observer.design import ObserverTable, design
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "missions"
@@ -408,6 +410,46 @@ class Particle:
             eta[0] += 0.01 * speed[0] * math.cos(psi[0])
             eta[1] += 0.01 * (speed[0] * math.sin(psi[0]) + drift)
         return np.array(rows)
+
+
+@pytest.mark.parametrize("law", ["sliding-mode", "sliding-mode-boundary-layer"])
+def test_commands_on_a_reference_include_the_jump_of_a_sliding_mode_either_way(law: str) -> None:
+    gains = ship(law, allocation={"limits": {f"T{i}": "4 N" for i in (1, 2, 3)} | {"L1": "9 N", "L2": "9 N"}})
+    where = mission("setpoints", SQUARE)
+    (row,) = (r for r in check_mission(gains, where).rows if r.condition == "commands")
+    reference = where.reference(gains)
+    controller = Controller(gains, reference)
+    profile, share = reference.profile, controller.allocation.share
+    place, worst = controller.state_names.index("mission_time"), 0.0
+    for t in np.linspace(0, profile.duration, 400):
+        pose, rate = profile.at(np.array([t]))[0], profile.at(np.array([t]), 1)[0]
+        turn = np.array(gains.plant.J_inverse.subs(gains.plant.eta[2], pose[2]), dtype=float)
+        s = np.array(controller.initial_states())
+        s[place] = t
+        for signs in product((-1e-9, 1e-9), repeat=3):
+            y = np.concatenate([pose + signs, turn @ rate])
+            tau = controller.continuous(y, controller.mission_numbers, s, controller.gain_values())[2]
+            commands = np.abs(share @ np.asarray(tau).ravel())
+            worst = max(worst, float((commands / controller.allocation.limits).max()))
+    assert 0.9 - row.margin == pytest.approx(worst, rel=2e-2)
+    assert worst > (1.0 if law == "sliding-mode" else 0.1)
+
+
+def test_sliding_modes_need_no_mass_that_stays_the_same_and_no_turn_before_the_way() -> None:
+    ahead = {"X_udot_forward": Value(-2.0), "X_udot_backward": Value(-3.0)}
+    values = {n: v for n, v in load_vehicle("cybership2").values.items() if n != "X_udot"} | ahead
+    vehicle = replace(load_vehicle("cybership2"), values=values)
+    found = {}
+    for law in ("pd", "sliding-mode"):
+        gains = {g.name: GAINS[g.name] for g in LAWS[law].gains}
+        content = {"schema": "undertow/gains/1", "name": law, "law": law, "gains": gains}
+        one = gains_from_table(GainTable.model_validate(content), vehicle)
+        found[law] = {r.condition for r in check_mission(one, mission("setpoints", SQUARE)).rows}
+    assert "M" in found["pd"]  # V of PD has M in it, S' S/2 has not
+    assert "M" not in found["sliding-mode"]
+    waits = ship("sliding-mode", schedule={"order": "yaw-first", "gate": "1 deg"})
+    with pytest.raises(UndertowError, match="waits for the heading of a set-point"):
+        check_mission(waits, mission("legs", SQUARE))
 
 
 def test_the_cross_track_error_of_line_of_sight_is_that_of_its_equation() -> None:

@@ -282,7 +282,7 @@ class Functions:
         return prepared(self)
 
     def tangents(self, *with_respect_to: str) -> ca.Function:
-        """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p and numbers; R are sparse.
+        """`(x_dot, W, R_a, R_b ...) = tangents(x, u, p, t)` for a, b ... among x, u, p, numbers; sparse R.
 
         d(x_dot)/da is R_a = d(balance)/da at the acceleration, with the rows of the acceleration multiplied
         by W, the inverse of M. That is what differentiating M a = f gives; it costs far less than the

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -20,7 +20,7 @@ from undertow.control.guidance.curves import SplineOfSight
 from undertow.control.guidance.line_of_sight import LineOfSight
 from undertow.control.guidance.mission import Mission
 from undertow.control.guidance.reference import TimedReference
-from undertow.control.laws import JUMPING
+from undertow.control.laws import JUMPING, BoundaryLayer, SlidingMode
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
@@ -40,7 +40,7 @@ from .attitude import (
 )
 from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE, Condition
 from .commands import plain, sizes_and_signs, terms_of
-from .problem import Problem, Span
+from .problem import Problem, Span, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
 
 
@@ -114,6 +114,7 @@ def check_mission(gains: GainSet, mission: Mission, tilt: float = np.pi / 3) -> 
         If the vehicle cannot follow the mission.
     """
     reference = mission.reference(gains)
+    Controller(gains, reference)  # refuses what cannot run, whatever the conditions say
     if isinstance(reference, TimedReference):
         rows = [*_law_rows(gains, mission, tilt), _command_row(gains, reference)]
     else:
@@ -151,7 +152,8 @@ def _law_rows(gains: GainSet, mission: Mission, tilt: float) -> Iterator[Mission
     about = f"{_SLIDING if gains.law.id not in ('pd', 'pid') else ''} {_BOUNDED}".strip()
     for condition in derived:
         yield _plain_row(problem, condition, f"{condition.about} {about}")
-    if any(v in gains.plant.M.free_symbols for v in gains.plant.reversing):
+    # S' S/2 of sliding modes does not contain M.
+    if gains.law.id in ("pd", "pid") and any(v in gains.plant.M.free_symbols for v in gains.plant.reversing):
         yield _reversing_row(gains)
     if gains.law.id == "pd":
         yield _pd_row(problem, mission)
@@ -373,12 +375,12 @@ def _covered(problem: Problem, most: Array) -> str:
 
 def _command_row(gains: GainSet, reference: TimedReference) -> MissionRow:
     """The part of the limit of each thruster that the reference itself asks for, with no error."""
-    controller = Controller(gains, reference)
+    controller = Controller(_on_surface(gains), reference)
     limits, profile = controller.allocation.limits, reference.profile
     share = controller.allocation.share
     t = np.unique(np.concatenate([np.linspace(0, profile.duration, TRACKING.samples), profile.knots]))
     force = _on_reference(controller, profile.at(t), profile.at(t, 1), t)
-    commands = np.abs(force @ share.T)
+    commands = np.abs(force @ share.T) + _jumps(gains, profile.at(t), share)
     parts = commands / limits
     i, j = np.unravel_index(int(np.argmax(parts)), parts.shape)
     name, most = controller.command_names[j], float(parts[i, j])
@@ -392,6 +394,26 @@ def _command_row(gains: GainSet, reference: TimedReference) -> MissionRow:
         HOLDS if most < 1 - SETTINGS.thrust_reserve else FAILS,
         where if np.isfinite(limits).any() else "no command has a limit",
     )
+
+
+def _on_surface(gains: GainSet) -> GainSet:
+    """A sliding mode without its jump, whose sign on the reference is that of rounding."""
+    if gains.law.id != SlidingMode.id:
+        return gains
+    widths = {f"width_{c}": 1.0 for c in gains.signals.coordinates}
+    return replace(gains, law=BoundaryLayer(), values={**gains.values, **widths})
+
+
+def _jumps(gains: GainSet, poses: Array, share: Array) -> Array:
+    """How far the jump of a sliding mode takes each command either way, shape (k, commands)."""
+    plant = gains.plant
+    if gains.law.id != SlidingMode.id:
+        return np.zeros((len(poses), len(share)))
+    reach = np.array([gains.values[f"K_Z_{c}"] for c in gains.signals.coordinates])
+    kinematics = function_of(list(plant.eta), plant.J_inverse.tolist())
+    inverse = np.array([kinematics(*pose) for pose in poses], dtype=float)
+    each = [np.abs(share @ one.inertia @ inverse) @ reach for one in sign_sets(plant)]
+    return np.asarray(np.max(each, axis=0))
 
 
 def _on_reference(controller: Controller, poses: Array, rates: Array, t: Array) -> Array:
