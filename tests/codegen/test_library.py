@@ -18,7 +18,7 @@ from tests.observer.test_design import with_current as usbl
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
-from undertow.codegen.library import Library, sizes
+from undertow.codegen.library import Library, sizes, usual_compilers
 from undertow.control.controller import Controller, Sharing, thruster_commands
 from undertow.control.gains import load_gains
 from undertow.control.update import library_of
@@ -216,7 +216,10 @@ def test_the_command_prints_sizes_and_several_controllers_are_one_library(
     assert main([*words, "--sizes", "no-such-compiler"]) == 2
     assert "'no-such-compiler' is not there" in capsys.readouterr().err
     assert main([*words, "--controller", "paper-pd"]) == 0
-    assert "src/mini_auv_paper_pd.c is new" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "src/mini_auv_paper_pd.c is new" in said
+    installed = [what for what, command in usual_compilers(_auv()) if shutil.which(command[0])]
+    assert [what for what, _ in usual_compilers(_auv()) if f"Sizes by {what}, -Os" in said] == installed[:1]
     text = (tmp_path / "mini-auv/library.properties").read_text()
     parts = ("vehicle", "jacobians", "thrusters", "paper_pid", "paper_pd")
     assert "includes=" + ",".join(f"mini_auv_{p}.h" for p in parts) in text

@@ -227,6 +227,16 @@ class Size(NamedTuple):
     stack: int
 
 
+def usual_compilers(library: Library) -> list[tuple[str, list[str]]]:
+    """Compilers whose sizes are of interest, the first first: what they compile for, and their commands."""
+    cortex = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+    single = f"-D{library.name.upper()}_SINGLE"
+    return [
+        ("arm-none-eabi-gcc for a Cortex-M4, float", ["arm-none-eabi-gcc", *cortex, single]),
+        ("gcc for this machine, double", ["gcc"]),
+    ]
+
+
 def sizes(library: Library, compiler: str, *flags: str) -> tuple[dict[str, int], list[Size]]:
     """Bytes of code and constants of each module, and of stack of each function, with -Os."""
     if shutil.which(compiler) is None:

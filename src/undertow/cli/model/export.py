@@ -13,6 +13,7 @@ What the other program cannot represent is listed; docs/export.md has the detail
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
@@ -189,7 +190,9 @@ _PATH = typer.Option(metavar="MISSION.toml", help="Mission file that the control
 _FOLDER = typer.Option(metavar="FOLDER", help="Output folder; files go into a subfolder NAME.")
 _CHECK = typer.Option("--check", help="Write nothing; exit code 1 if the code is missing or out of date.")
 _SIZES = typer.Option(
-    metavar="COMPILER", help="Print flash and stack size, compiled with this compiler at -Os."
+    metavar="COMPILER",
+    help="Flash and stack sizes are printed as compiled at -Os with this compiler and its flags.",
+    show_default="arm-none-eabi-gcc for a Cortex-M4 in float, else gcc, if installed",
 )
 
 
@@ -242,7 +245,7 @@ def c(
     again = " ".join(["undertow export c", vehicle, *options, *(f"--observer {f}" for f in observer or [])])
     code = _checked(report, again) if check else _written(report)
     _lost(library.losses)
-    if sizes:
+    if sizes or not check:
         _print_sizes(library, sizes)
     return code
 
@@ -268,10 +271,16 @@ def _say(lines: Sequence[str]) -> None:
         say(f"  {line}")
 
 
-def _print_sizes(library: Library, compiler: str) -> None:
-    from undertow.codegen.library import sizes
+def _print_sizes(library: Library, asked: str | None) -> None:
+    """Flash and stack by the compiler that is asked for, else by the first usual one that is installed."""
+    from undertow.codegen.library import sizes, usual_compilers
 
-    flash, stacks = sizes(library, *shlex.split(compiler))
+    usual = ((words, flags) for words, flags in usual_compilers(library) if shutil.which(flags[0]))
+    target, command = (asked, shlex.split(asked)) if asked else next(usual, ("", []))
+    if not command:
+        return
+    flash, stacks = sizes(library, *command)
+    section(f"Sizes by {target}, -Os")
     section("Flash", table(("module", "bytes"), ((name, str(size)) for name, size in flash.items())))
     section("Stack", table(("function", "bytes"), ((s.function, str(s.stack)) for s in stacks)))
 
