@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,14 @@ from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import plain_world
 from benchmarks.trust import sizing
 from benchmarks.trust.__main__ import main
-from benchmarks.trust.ablation import ablation_page, ablations, sample, switchable
+from benchmarks.trust.ablation import (
+    Recording,
+    ablation_page,
+    chosen,
+    recording,
+    sample,
+    still_to_run,
+)
 from benchmarks.trust.cases import COMPLETE, FAINT, HARD, OTHER_FORMS, SINGLES, SIZES, Planned, part, plan
 from benchmarks.trust.failures import failures, why
 from benchmarks.trust.goals import goals
@@ -336,22 +344,36 @@ def test_a_goal_is_met_from_as_many_cases_on_as_show_it(cases: int, said: str) -
 # --- ablation ----------------------------------------------------------------------------------------------
 
 
-def test_every_number_is_switched_off_on_the_same_cases() -> None:
-    doing = ablations(sample()[:2])
-    assert len(doing) == 2 * (1 + len(switchable()))
-    assert len({one.id for one in doing}) == len(doing)
+def test_only_numbers_that_are_read_and_have_changed_no_answer_are_switched_off() -> None:
+    case = sample()[0]
     assert {case.kind for case in sample()} == {"complete", "single", "pair", "uncatalogued"}
-    for one in doing:
-        changed = [n for n in Settings.about() if getattr(one.settings, n) != getattr(Settings(), n)]
-        assert changed == ([one.number] if one.number else [])
+    same = {"verdict": "adequate", "named": [], "sets": []}
+    other = same | {"verdict": "unexplained"}
+    assert [one.number for one in still_to_run(case, chosen(), [])] == [""]
+    records = [{"id": f"{case.id}:default", "number": "", "answer": same, "read": ["named_share", "worth"]}]
+    assert [one.number for one in still_to_run(case, chosen(), records)] == ["worth", "named_share"]
+    records += [{"id": "c:default", "number": "", "answer": same, "read": ["worth"]}]
+    records += [{"id": "c:worth", "number": "worth", "answer": other}]
+    (one,) = still_to_run(case, chosen(), records)
+    assert [n for n in Settings.about() if getattr(one.settings, n) != getattr(Settings(), n)] == [
+        "named_share"
+    ]
     with pytest.raises(ValueError, match="cannot be switched off"):
-        ablations(sample()[:1], ["seed"])
+        chosen(["seed"])
+
+
+def test_what_is_read_of_settings_is_known() -> None:
+    settings = recording(Settings(worth=0.2))
+    assert Recording.seen == set()
+    assert replace(settings, false_alarm_rate=0.05).worth == 0.2
+    assert "worth" in Recording.seen
 
 
 def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
     names = {"default": ["lift"], "named_share": ["lift"], "output_error_reach": []}
     records = [
         {
+            **({"read": ["named_share", "output_error_reach"]} if n == "default" else {}),
             "id": f"{LIFT}:{n}",
             "number": "" if n == "default" else n,
             "answer": {"verdict": "missing_effect" if found else "unexplained", "named": found, "sets": []},
@@ -359,9 +381,9 @@ def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
         for n, found in names.items()
     ]
     rows = {line.split("|")[1].strip(): line for line in ablation_page(records).splitlines() if "|" in line}
-    assert [c.strip() for c in rows["`named_share`"].split("|")[-3:-1]] == ["1", "0"]
-    assert [c.strip() for c in rows["`output_error_reach`"].split("|")[-3:-1]] == ["1", "1"]
-    assert [c.strip() for c in rows["`excitation_ratio`"].split("|")[-3:-1]] == ["–", "not run"]
+    assert [c.strip() for c in rows["`named_share`"].split("|")[-4:-1]] == ["1", "0", "0"]
+    assert [c.strip() for c in rows["`output_error_reach`"].split("|")[-4:-1]] == ["1", "0", "1"]
+    assert [c.strip() for c in rows["`excitation_ratio`"].split("|")[-4:-1]] == ["–", "1", "not run"]
     assert f"- `output_error_reach` off, `{LIFT}`: missing_effect lift becomes unexplained" in ablation_page(
         records
     )
@@ -369,7 +391,7 @@ def test_the_page_of_numbers_says_what_changed_and_what_was_not_run() -> None:
 
 def test_the_page_of_numbers_has_every_number_as_it_is_now() -> None:
     def rows(text: str) -> list[list[str]]:
-        return [line.split(" | ")[:-2] for line in text.splitlines() if line.startswith("| `")]
+        return [line.split(" | ")[:-3] for line in text.splitlines() if line.startswith("| `")]
 
     stored = (Path(__file__).parents[1] / "docs" / "ablation.md").read_text(encoding="utf-8")
     assert rows(stored) == rows(ablation_page([]))

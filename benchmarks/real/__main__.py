@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.results.text import errors
-from benchmarks.trust.ablation import Data, ablations, answering
+from benchmarks.trust.ablation import Data, ablate, answering
 from benchmarks.trust.cases import part
 from benchmarks.trust.measure import Record
 from benchmarks.trust.run import Work, add_run_options, records, run, run_limits
@@ -138,8 +138,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _ablate(options: argparse.Namespace) -> int:
     sets = _sets(options)
-    doing, work = ablations(ablated(sets), options.number), _answered(sets, options.data)
-    return int(run(doing, options.source, work, report=_report, **run_limits(options)) > 0)
+    work, how = _answered(sets, options.data), {"report": _report, **run_limits(options)}
+    return int(ablate(ablated(sets), options.number, options.source, work, **how) > 0)
 
 
 def _answered(sets: Mapping[str, LogSet], data: Path) -> Work:

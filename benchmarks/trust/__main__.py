@@ -19,7 +19,7 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 from undertow.fleet.engine import Engine, engine
 
-from .ablation import ablation_page, ablations, answering, of_simulation, sample
+from .ablation import ablate, ablation_page, answering, of_simulation, sample
 from .cases import BASE_SEED, ROUNDS, Planned, part, plan
 from .measure import Record, measured
 from .report import goal_table, page
@@ -166,9 +166,8 @@ def _list(options: argparse.Namespace) -> int:
 
 def _ablate(options: argparse.Namespace) -> int:
     cases = [c for c in sample() if not options.vehicle or c.vehicle in options.vehicle]
-    doing = ablations(cases[: options.cases], options.number)
-    work = answering(of_simulation)
-    failed = run(doing, options.source, work, report=_report_record, **run_limits(options))
+    work, how = answering(of_simulation), {"report": _report_record, **run_limits(options)}
+    failed = ablate(cases[: options.cases], options.number, options.source, work, **how)
     text = ablation_page(r for path in (options.source, *options.beside) for r in records(path))
     if options.out is None:
         print(text)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 from benchmarks.results.text import table
 from undertow.identification.diagnose import diagnose
@@ -16,7 +17,7 @@ from undertow.model.vehicle import Vehicle
 from .cases import HARD, OTHER_FORMS, Planned, plan
 from .material import simulated, written_to_memory
 from .measure import Record, answer_of
-from .run import Job, Work
+from .run import Job, Work, records, run
 
 Data = tuple[Vehicle, Sequence[Run], Sequence[Run]]
 #: Every so many cases of the first round of the plan, without those whose size has to be searched for.
@@ -27,10 +28,12 @@ INTRODUCTION = """\
 All of them are in `undertow.identification.diagnosis.settings.Settings`. The command below switches each of
 them off in turn, if possible, and repeats the diagnosis of a fixed sample of cases of the [trust
 benchmark](trust.md), and of the [real logs](real.md) with one degree of freedom. The table counts the answers
-(verdict, effects named, sets) that differ from those of the default settings. A number that makes no
-difference on the whole sample should be removed; if fewer cases were run, no difference is no evidence. "not
-run": there is no ablation yet, and the number rests only on "chosen by". A number with * was added for a
-single case of a benchmark.
+(verdict, effects named, sets) that differ from those of the default settings. A diagnosis that never reads a
+number would give the same answer without it; such cases are not run. After the first answer that changes, a
+number has been shown to matter, and no more cases are run. A number that is read and makes no difference on
+the whole sample should be removed; if few cases read it, no difference is little evidence. "not run": no case
+read it, or it cannot be switched off, and it rests only on "chosen by". A number with * was added for one
+case of a benchmark.
 
 """
 HOW = """
@@ -87,12 +90,46 @@ def switchable() -> list[str]:
     return [name for name, about in Settings.about().items() if about.off is not None]
 
 
-def ablations(cases: Sequence[Job], numbers: Sequence[str] = ()) -> list[Ablated]:
-    """Every case with defaults, and with each of these numbers switched off, by default all possible ones."""
+def chosen(numbers: Sequence[str] = ()) -> Sequence[str]:
+    """These numbers, by default all that can be switched off."""
     for name in numbers:
         if name not in switchable():
             raise ValueError(f"--number {name!r} cannot be switched off: choose of {', '.join(switchable())}")
-    return [Ablated(case, n) for case in cases for n in ("", *(numbers or switchable()))]
+    return numbers or switchable()
+
+
+def still_to_run(case: Job, numbers: Iterable[str], known: Sequence[Record]) -> list[Ablated]:
+    """A case with defaults; then with each number off that was read then and has changed no answer so far.
+
+    `known` are the records of before.
+    """
+    plain = Ablated(case)
+    default = next((r for r in known if r["id"] == plain.id and "read" in r), None)
+    if default is None:
+        return [plain]
+    matter = {n for n in default["read"] if any(a != b for _, a, b in _pairs(n, known))}
+    return [Ablated(case, n) for n in numbers if n in {*default["read"]} - matter]
+
+
+def ablate(
+    cases: Sequence[Job],
+    numbers: Sequence[str],
+    source: Path,
+    work: Work,
+    *,
+    minutes: float | None,
+    **how: Any,
+) -> int:
+    """Diagnose cases with defaults and with numbers switched off, and append the records.
+
+    Returns how many failed.
+    """
+    end = time.monotonic() + 60 * (float("inf") if minutes is None else minutes)
+    failed, numbers = 0, chosen(numbers)
+    for case in [twice for one in cases for twice in (one, one)]:
+        todo = still_to_run(case, numbers, records(source))
+        failed += run(todo, source, work, minutes=(end - time.monotonic()) / 60, **how)
+    return failed
 
 
 def answering(data: Callable[[Any], Data]) -> Work:
@@ -101,11 +138,34 @@ def answering(data: Callable[[Any], Data]) -> Work:
     def answered(one: Ablated) -> Record:
         given = data(one.case)
         began = time.perf_counter()
-        answer = answer_of(diagnose(*given, settings=one.settings).diagnosis)
+        settings = recording(one.settings)
+        answer = answer_of(diagnose(*given, settings=settings).diagnosis)
         said = {name: getattr(answer, name) for name in ("verdict", "named", "sets")}
-        return {"id": one.id, "number": one.number, "answer": said, "seconds": time.perf_counter() - began}
+        found = {"id": one.id, "number": one.number, "answer": said, "seconds": time.perf_counter() - began}
+        return found if one.number else found | {"read": sorted(Recording.seen & {*switchable()})}
 
     return answered
+
+
+class Recording(Settings):
+    """Settings of which, and of copies of which, it is known what was read.
+
+    There is one diagnosis at a time in a process.
+    """
+
+    seen: ClassVar[set[str]] = set()
+
+    def __getattribute__(self, name: str) -> Any:
+        """As usual; the name of what is read is kept."""
+        Recording.seen.add(name)
+        return super().__getattribute__(name)
+
+
+def recording(settings: Settings) -> Recording:
+    """The same settings, of which nothing has been read so far."""
+    same = Recording(**{name: getattr(settings, name) for name in Settings.about()})
+    Recording.seen.clear()
+    return same
 
 
 def of_simulation(case: Planned) -> Data:
@@ -122,7 +182,16 @@ def ablation_page(records: Iterable[Record]) -> str:
         f"The sample has {whole} simulated cases, and those of real logs. "
         f"Diagnoses so far: {len(kept)}, with commit {commits}.\n"
     )
-    head = ("number", "meaning", "value", "off", "chosen by", "cases run", "answers changed")
+    head = (
+        "number",
+        "meaning",
+        "value",
+        "off",
+        "chosen by",
+        "cases run",
+        "without reading it",
+        "answers changed",
+    )
     rows = [_row(name, about, kept) for name, about in Settings.about().items()]
     changed = [line for name in switchable() for line in _changes(name, kept)]
     parts = [INTRODUCTION, run, HOW, "\n", table(head, rows, left=5)]
@@ -133,7 +202,9 @@ def _row(name: str, about: About, records: Sequence[Record]) -> list[str]:
     value, unit = getattr(Settings(), name), "" if about.unit == "1" else f" {about.unit}"
     off = "–" if about.off is None else f"{about.off:g}"
     pairs = _pairs(name, records)
-    counts = [str(len(pairs)), str(sum(a != b for _, a, b in pairs))] if pairs else ["–", "not run"]
+    idle = str(sum(name not in r["read"] for r in records if "read" in r)) if about.off is not None else "–"
+    changed = str(sum(a != b for _, a, b in pairs)) if pairs else "not run"
+    counts = [str(len(pairs)) if pairs else "–", idle, changed]
     source = f"{about.source} ({about.one_case})" if about.one_case else about.source
     return [f"`{name}`{'*' * bool(about.one_case)}", about.meaning, f"{value}{unit}", off, source, *counts]
 
