@@ -40,7 +40,7 @@ HOW = """
     python -m benchmarks.trust ablate --source ablation.jsonl --out docs/ablation.md
     python -m benchmarks.trust ablate --source ablation.jsonl --number named_share --cases 5
     python -m benchmarks.real ablate --source benchmarks/results/ablation-real.jsonl
-    python -m benchmarks.trust ablate --source ablation.jsonl --cases 0 \\
+    python -m benchmarks.trust ablate --source benchmarks/results/ablation.jsonl --cases 0 \\
         --beside benchmarks/results/ablation-real.jsonl --out docs/ablation.md
 """
 
