@@ -222,7 +222,7 @@ def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place
         await user.open(f"/?token={TOKEN}&page=missing")
         said = _texts(user)
         assert "These logs hardly distinguish it from constant_force." in said
-        assert "What would: turn on the spot for 40 s" in said
+        assert "To tell them apart: turn on the spot for 40 s" in said
         assert "undertow plan " in said
         assert "--goal separate --between ocean_current,constant_force" in said
         assert "surge: 0.4 N rms correlates with |u| u" in said
