@@ -350,8 +350,7 @@ class Association:
 
     @cached_property
     def _answer(self) -> Array:
-        own, columns = self.samples.fitted.own, self.samples.fitted.columns
-        return np.asarray(inverse_of(own.T @ own + self.stiffness) @ (own.T @ columns))
+        return _response(self.samples.fitted, self.samples.fitted.columns, self.stiffness)
 
     @cached_property
     def places(self) -> dict[str, slice]:
@@ -382,6 +381,12 @@ class Association:
         scores = fitted.by_block(column * (fitted.r + column @ coefficients)[:, None])
         spread = t.inverse @ (scores.T @ scores) @ t.inverse
         return Found(t.term, coefficients, np.sqrt(np.diag(spread)), gain, chance, alike)
+
+
+def _response(sample: Sample, columns: Array, stiffness: Array) -> Array:
+    """Change of the model's own parameters that takes over most of columns (m, q), shape (k, q)."""
+    own = sample.own
+    return np.asarray(inverse_of(own.T @ own + stiffness) @ (own.T @ columns))
 
 
 @dataclass(frozen=True)
@@ -441,8 +446,7 @@ def _fitted(sample: Sample, columns: Array, stiffness: Array) -> tuple[Array, Ar
 
     What the model's parameters can take over in all columns together is zero.
     """
-    own = sample.own
-    beside = columns - own @ (inverse_of(own.T @ own + stiffness) @ (own.T @ columns))
+    beside = columns - sample.own @ _response(sample, columns, stiffness)
     gram = beside.T @ columns
     inverse = np.linalg.pinv((gram + gram.T) / 2, rcond=SETTINGS.rank, hermitian=True)
     value = -inverse @ (beside.T @ sample.r)

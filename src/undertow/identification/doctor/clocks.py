@@ -21,7 +21,7 @@ from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Segment
 from .mistakes import Undo, they_are, with_channels
-from .sensors import Sensor, clustered_least_squares, regressor_of, sensors
+from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
 """Channels that one sensor reports: a position fix, a compass or gyroscope, a Doppler log, a gyroscope."""
@@ -137,8 +137,8 @@ def _delays(
     def table(shift: Array) -> Array:
         slopes = [(left(shift + d) - left(shift - d)) / (2 * step) for d in step * np.eye(count)]
         moved = [_earlier(run, sources, shift) for run in runs]
-        others = [s for s in sensors(kinematics) if s.id != "sensor_delay"]
-        return np.column_stack([*slopes, _weighted(kinematics, moved, weight, others)])
+        others = [regressor_of(kinematics, moved, s) for s in sensors(kinematics) if s.id != "sensor_delay"]
+        return np.column_stack([*slopes, *((o * weight[:, :, None]).reshape(-1, o.shape[2]) for o in others)])
 
     found = np.zeros(count)
     for _ in range(SETTINGS.rounds):
@@ -155,12 +155,6 @@ def _delays(
         value[free, j] = found[free] - found[j] + change[: count - 1]
         error[free, j] = spread[: count - 1]
     return value, error
-
-
-def _weighted(kinematics: Kinematics, runs: Sequence[Run], weight: Array, errors: Sequence[Sensor]) -> Array:
-    """Columns of errors of sensors, in units of the noise."""
-    columns = [regressor_of(kinematics, runs, one) * weight[:, :, None] for one in errors]
-    return np.column_stack([c.reshape(-1, c.shape[2]) for c in columns])
 
 
 def _earlier(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run:
@@ -204,20 +198,17 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], pose
     Steady offsets are fitted at the same time: that of a gyroscope would make a delay that drifts.
     """
     found = np.zeros(2)
-    step, size = runs[0].step, SETTINGS.cluster * len(kinematics.rows)
+    step = runs[0].step
     delayed = Sensor("sensor_delay", ("delay s", "drift s"), _columns(names, runs))
     offsets = [s for s in sensors(kinematics) if s.id == "sensor_bias"]
     for _ in range(SETTINGS.rounds):
         moved = [_moved(run, names, found) for run in runs]
-        rates = kinematics.rates(moved)
-        table = _weighted(kinematics, moved, rates.weight, [delayed, *offsets])
-        target = ((rates.pose - rates.velocity) * rates.weight).ravel()
-        value, error = clustered_least_squares(table, target, size)
-        change = np.clip(value[:2], -SETTINGS.longest, SETTINGS.longest)
+        fit = fit_sensor(kinematics, moved, kinematics.rates(moved), delayed, offsets)
+        change = np.clip(fit.value, -SETTINGS.longest, SETTINGS.longest)
         found = found + change
         if np.all(np.abs(change) < SETTINGS.converged * step):
             break
-    return Shift(names, poses, float(found[0]), float(found[1]), float(error[1]))
+    return Shift(names, poses, float(found[0]), float(found[1]), float(fit.error[1]))
 
 
 def _along(t: Array) -> Array:

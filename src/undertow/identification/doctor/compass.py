@@ -18,7 +18,6 @@ from undertow.identification.findings import Finding, percent
 from undertow.identification.logs.compass import without_deviation
 from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml
 from undertow.identification.logs.run import Run
-from undertow.model.units import to_si
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
@@ -75,7 +74,7 @@ class Deviation:
     def edits(self, mapping: LogMapping) -> Edits:
         """What the mapping file has to say; velocities along the earth are turned by the heading anyway."""
         given = mapping.compass
-        so_far = [to_si(getattr(given, n), "rad") if given else 0.0 for n in "BC"]
+        so_far = given.coefficients[1:] if given else (0.0, 0.0)
         degrees = np.degrees(self.value + so_far)
         found = [Edit("compass", n, f"{d:.3g} deg") for n, d in zip("BC", degrees, strict=True)]
         turned = mapping.frames.velocity == "body" and not self.derived

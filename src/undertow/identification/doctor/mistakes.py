@@ -219,7 +219,9 @@ def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tupl
 
 def _time_units(mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
     """Every other unit of the time column, and what it multiplies times by."""
-    unit = mapping.time.unit if mapping.time.interval is None else ""
+    if mapping.time.interval is not None:  # no clock was read
+        return
+    unit = mapping.time.unit
     for other, seconds in SECONDS.items():
         if unit in SECONDS and other != unit:
             factor = seconds / SECONDS[unit]

@@ -192,15 +192,18 @@ def _water(linear: list[str]) -> Callable[[Samples, Segment], Array]:
 
 
 # --- fit --------------------------------------------------------------------------------------
-def fit_sensor(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor: Sensor) -> SensorFit:
-    """Fit one kind of deviation to what pose rates and velocities differ by."""
-    regressor = regressor_of(kinematics, runs, sensor)
+def fit_sensor(
+    kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor: Sensor, beside: Sequence[Sensor] = ()
+) -> SensorFit:
+    """Fit one kind of deviation, with others beside it, to what pose rates and velocities differ by."""
+    columns = [regressor_of(kinematics, runs, one) for one in (sensor, *beside)]
+    regressor, own = np.concatenate(columns, axis=2), columns[0].shape[2]
     weight = rates.weight
     table = (regressor * weight[:, :, None]).reshape(-1, regressor.shape[2])
     target = ((rates.pose - rates.velocity) * weight).ravel()
     value, error = clustered_least_squares(table, target, SETTINGS.cluster * len(kinematics.rows))
     fitted = Rates(rates.pose, rates.velocity + regressor @ value, rates.variance)
-    return SensorFit(sensor, value, error, kinematics.of_rates(fitted))
+    return SensorFit(sensor, value[:own], error[:own], kinematics.of_rates(fitted))
 
 
 def regressor_of(kinematics: Kinematics, runs: Sequence[Run], sensor: Sensor) -> Array:
