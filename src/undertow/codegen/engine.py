@@ -393,8 +393,6 @@ class Entries:
 class CompiledRollout:
     """Runge-Kutta around the generated dynamics: one call for many samples of many runs."""
 
-    parallel = True
-
     def __init__(self, functions: Functions, compiler: Compiler) -> None:
         self.lanes = compiler.lanes
         self._entries = Entries(lambda lanes: rollout_source(functions, lanes), compiler)

@@ -162,7 +162,6 @@ class Case:
     acceleration: tuple[Smoother, ...]  # for the acceleration, one after the other
     # whether the acceleration is the derivative of the velocity by its filter, not the one that was logged
     differentiated: bool
-    source: str  # where it is stated
 
     def needs(self, edges: Edges) -> int:
         """Samples without a gap that the filters need; with dropped edges each leaves the next one fewer."""
@@ -202,9 +201,9 @@ class Case:
         return velocity if self.velocity is None else self.velocity(velocity, edges), rate
 
 
-def _independent(number: int, *smoothers: Smoother, table: str) -> Case:
+def _independent(number: int, *smoothers: Smoother) -> Case:
     """A case of Tables 1 and 2: velocity and acceleration are filtered each by itself."""
-    return Case(str(number), smoothers[0], smoothers, False, f"paper, {table}")
+    return Case(str(number), smoothers[0], smoothers, False)
 
 
 _BOTH = {2: Smoother(1, 3), 3: Smoother(1, 5), 4: Smoother(1, 7), 5: Smoother(3, 7)}
@@ -213,11 +212,11 @@ _METHOD = Smoother(4, 11)
 CASES: dict[str, Case] = {
     case.name: case
     for case in (
-        Case("1", None, (), False, "paper, Table 1"),
-        *(_independent(n, s, table="Table 1") for n, s in _BOTH.items()),
-        *(_independent(n + 4, s, _AGAIN, table="Table 2") for n, s in _BOTH.items()),
-        Case("10", _METHOD, (), True, "paper, Table 3"),
-        Case("11", _METHOD, (_AGAIN,), True, "paper, Table 3"),
+        Case("1", None, (), False),  # of Table 1
+        *(_independent(n, s) for n, s in _BOTH.items()),
+        *(_independent(n + 4, s, _AGAIN) for n, s in _BOTH.items()),
+        Case("10", _METHOD, (), True),  # of Table 3
+        Case("11", _METHOD, (_AGAIN,), True),
     )
 }
 

@@ -141,16 +141,6 @@ class Matrices:
     turning: Interval  # S(omega) of the translations, zero elsewhere
     yaw: Interval  # rows that give the rate of the heading from velocities on the angles, shape (k, n, 1)
 
-    @property
-    def hull(self) -> Matrices:
-        """One interval of each matrix that holds all of them."""
-        return Matrices(*(Interval(p.lo.min(axis=0)[None], p.hi.max(axis=0)[None]) for p in self.parts))
-
-    @property
-    def parts(self) -> tuple[Interval, ...]:
-        """The four of them."""
-        return self.inverse, self.moving, self.turning, self.yaw
-
 
 @dataclass(frozen=True)
 class Corners:

@@ -57,12 +57,10 @@ class Round:
 
     bench: data, noise model and the model so far.
     findings: all candidates, best first.
-    rivals: effects that the data cannot tell from the best one.
     """
 
     bench: Bench
     findings: list[FoundEffect]
-    rivals: list[FoundEffect]
 
     @property
     def winner(self) -> FoundEffect | None:
@@ -239,14 +237,12 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
     findings = [_finding(*found, bench, evidence) for found in zip(tried, linears, often, strict=True)]
     findings += [_finding(t, None, float("nan"), bench, evidence) for t in others]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
-    best = findings[0].trial.score
-    rivals = [f for f in findings[1:] if f.significant and as_good(best, f.trial.score, bench)]
     for f in findings[:5]:
         _log.info(
             "%s: normalised error %.3f, p = %.2g (slow disturbance: %.2g), best in %.0f %% of resamples",
             f.id, f.trial.score.error, f.p_value, f.slow_p_value, 100 * f.inclusion,
         )  # fmt: skip
-    return Round(bench, findings, rivals)
+    return Round(bench, findings)
 
 
 def _finding(
