@@ -149,9 +149,6 @@ class Target:
         R, G = self._turns(angles, len(pose)), np.tile(np.eye(n), (len(pose), 1, 1))
         if self.quadratic.frame == "body":
             G = R
-        elif self.quadratic.frame == "heading":
-            level = {c: v if c == "psi" else enclose(0 * v.lo) for c, v in angles.items()}
-            G = self._turns(level, len(pose))
         error, nu = states[..., :n].reshape(-1, n), states[..., n:].reshape(-1, n)
         parts = [integral.reshape(-1, n), error, np.einsum("kij,kj->ki", R, nu)]
         z = np.concatenate([np.einsum("kji,kj->ki", G, part) for part in parts], axis=1)

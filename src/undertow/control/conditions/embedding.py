@@ -61,8 +61,6 @@ def certainly_positive(matrix: Interval) -> bool:
 class Jet:
     """A matrix that depends on one angle, with its first two derivatives, all as intervals."""
 
-    __array_ufunc__ = None  # so that array @ Jet comes here
-
     def __init__(self, value: Interval, slope: Interval, bend: Interval) -> None:
         self.value, self.slope, self.bend = value, slope, bend
 
@@ -71,14 +69,9 @@ class Jet:
         bend = self.bend @ o.value + 2.0 * (self.slope @ o.slope) + self.value @ o.bend
         return Jet(self.value @ o.value, self.slope @ o.value + self.value @ o.slope, bend)
 
-    def __rmatmul__(self, other: Any) -> Jet:
-        return _jet(other) @ self
-
     def __add__(self, other: Any) -> Jet:
         o = _jet(other)
         return Jet(self.value + o.value, self.slope + o.slope, self.bend + o.bend)
-
-    __radd__ = __add__
 
     def __neg__(self) -> Jet:
         return Jet(-self.value, -self.slope, -self.bend)
@@ -139,7 +132,6 @@ class Matrices:
     inverse: Interval  # of the mass matrix, shape (k, n, n)
     moving: Interval  # C + D
     turning: Interval  # S(omega) of the translations, zero elsewhere
-    yaw: Interval  # rows that give the rate of the heading from velocities on the angles, shape (k, n, 1)
 
 
 @dataclass(frozen=True)
@@ -187,8 +179,8 @@ class Embedding:
 
     With J = diag(R, T), R the rotation of the translations, errors stand in a frame that is turned by G, the
     velocity of the translations too: E = G' e, w = L nu, L = diag(G' R, I). G is R where every gain commutes
-    with it (then no attitude is left but that in T), the heading alone where x and y have the same gains,
-    else the identity. With N = diag(I, T) and Omega = G_dot' G
+    with it (then no attitude is left but that in T), else the identity. With N = diag(I, T) and
+    Omega = G_dot' G
 
         E_dot = Omega E - N w,   integral_dot = Omega integral + E,
         w_dot = L_dot L' w + L M^-1 [L' N' (K_P E + K_I integral - K_V N w) - (C + D) L' w].
@@ -207,9 +199,9 @@ class Embedding:
         self._gains = [np.diag(problem.values[g]) for g in ("K_P", "K_V", "K_I") if g in problem.values]
         self.integral = "K_I" in problem.values
         self.size = (3 if self.integral else 2) * self.n
-        rotation = rotation_of(plant)
-        self.frame = self._frame(rotation)
-        left = self._left_of_turn(rotation)
+        rotation, unit = rotation_of(plant), sm.eye(len(self.shifts))
+        self._turned_by_body = self._commutes(rotation)
+        self._turn, left = (rotation, unit) if self._turned_by_body else (unit, rotation)
         whole = sm.eye(self.n)
         for i, a in enumerate(self.shifts):
             for j, b in enumerate(self.shifts):
@@ -221,54 +213,31 @@ class Embedding:
         self._matrices = {"L": whole, "N": N}
         self._functions: dict[str, Callable[..., Interval]] = {}
         self.angles = tuple(a for a in ANGLES if symbol(a) in (whole.free_symbols | N.free_symbols))
-        if self._follows_heading:
-            self._matrices["rate"] = plant.J[problem.coordinates.index("psi"), :]
 
     # --- frames -------------------------------------------------------------------------------
-    def _frame(self, rotation: sm.Matrix) -> sm.Matrix:
-        """G, the largest turn that every gain commutes with."""
-        unit = sm.eye(len(self.shifts))
-        level = rotation.xreplace({symbol("phi"): sm.Integer(0), symbol("theta"): sm.Integer(0)})
-        return next(turn for turn in (rotation, level, unit) if self._commutes(turn))
-
-    def _left_of_turn(self, rotation: sm.Matrix) -> sm.Matrix:
-        """G' R, with R = R_z R_y R_x."""
-        if self._turned_by_body:
-            return sm.eye(len(self.shifts))
-        return rotation.xreplace({symbol("psi"): sm.Integer(0)}) if self._follows_heading else rotation
-
     def _commutes(self, turn: sm.Matrix) -> bool:
         own = [np.diag(K)[self.shifts] for K in self._gains]
         pairs = product(range(turn.rows), repeat=2)
         return all(turn[i, j] == 0 or all(k[i] == k[j] for k in own) for i, j in pairs if i != j)
 
     @property
-    def _turned_by_body(self) -> bool:
-        return self.frame == self.plant.J.extract(self.shifts, self.shifts)
-
-    @property
     def frame_name(self) -> str:
         """Which frame errors stand in."""
-        if self._turned_by_body:
-            return "body"
-        return "heading" if self.frame.free_symbols else "earth"
+        return "body" if self._turned_by_body else "earth"
 
     @cached_property
     def groups(self) -> list[list[int]]:
         """Coordinates that the frame mixes, so that a bound on one has to be that on all of them."""
-        mixed = [[j for j in range(self.frame.rows) if self.frame[i, j] != 0] for i in range(self.frame.rows)]
+        places = range(len(self.shifts))
+        mixed = [[j for j in places if self._turn[i, j] != 0] for i in places]
         joined: list[set[int]] = []
         for row in map(set, mixed):
             touching = [g for g in joined if g & row]
             joined = [g for g in joined if not g & row] + [row.union(*touching)]
         return [sorted(self.shifts[i] for i in g) for g in joined] + [[i] for i in self.turns]
 
-    @property
-    def _follows_heading(self) -> bool:
-        return not self._turned_by_body and bool(self.frame.free_symbols)
-
     def _at(self, name: str, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
-        """L, N or the rate of the heading, or a derivative by an angle, shape (boxes, 1, n, n)."""
+        """L or N, or a derivative by an angle, shape (boxes, 1, n, n)."""
         key = f"{name} {by} {order}"
         if key not in self._functions:
             matrix = self._matrices[name]
@@ -313,14 +282,14 @@ class Embedding:
         m, n = self._moving, self.n
         cases, inverses, still = self._at_rest
         whole, zero = inverses.whole, np.zeros((len(cases), n))
-        none = enclose(self._turning(zero)), enclose(zero[..., None])
-        rest = Matrices(inverses.middle + within(inverses.rest), still.value + within(still.curved), *none)
-        beyond = Matrices(whole - inverses.middle, within(still.size), *none)
+        none = enclose(self._turning(zero))
+        rest = Matrices(inverses.middle + within(inverses.rest), still.value + within(still.curved), none)
+        beyond = Matrices(whole - inverses.middle, within(still.size), none)
         shifted = [
-            (Matrices(slope, still.value, *none), Matrices(inverses.middle, each, *none))
+            (Matrices(slope, still.value, none), Matrices(inverses.middle, each, none))
             for slope, each in zip(inverses.slopes, still.each, strict=True)
         ]
-        ends = [self._ends(i, float(speeds[i]), cases, whole) for i in range(n)]
+        ends, values = zip(*(self._ends(i, float(speeds[i]), cases, whole) for i in range(n)), strict=True)
         nu, either = within(speeds[None]), within(np.ones((1, n)))
         hull = whole.lo.min(axis=0)[None], whole.hi.max(axis=0)[None]
         at_rest = still.value + within(still.size)
@@ -328,12 +297,11 @@ class Embedding:
             *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
         )
         turning = within(np.abs(self._turning(np.array(speeds, dtype=float)[None])))
-        bend = Matrices(Interval(*hull), moving, turning, nu[..., None])
-        values = [e.yaw.middle[:, i, 0].reshape(len(cases), -1) for i, e in enumerate(ends)]
+        bend = Matrices(Interval(*hull), moving, turning)
         return Corners(rest, ends, bend, m.switching, values, shifted, beyond)
 
-    def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> Matrices:
-        """What the ends of one velocity add in every case."""
+    def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> tuple[Matrices, Array]:
+        """What the ends of one velocity add in every case, and its value at them, (cases, ends)."""
         m, switched = self._moving, i in self._moving.switching
         rows = []
         for k, case in enumerate(cases):
@@ -344,7 +312,8 @@ class Embedding:
         nu[:, i], signs[:, i] = [v for _, v, _ in rows], [s for _, _, s in rows]
         points = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
         added = m.added(*points, *_columns(cases[place]))
-        return Matrices(inverse[place], added, enclose(self._turning(nu)), enclose(nu[..., None]))
+        ends = Matrices(inverse[place], added, enclose(self._turning(nu)))
+        return ends, nu[:, i].reshape(len(cases), -1)
 
     def _turning(self, nu: Array) -> Array:
         """S(omega) of the translations, shape (k, n, n)."""
@@ -418,9 +387,7 @@ class Embedding:
         if self._turned_by_body:
             spin, swing = -at.turning, spin
         else:
-            if self._follows_heading:
-                spin = (matrices["rate"] @ at.yaw) * self._level_turn
-            swing = L @ at.turning @ L.T + spin
+            swing = L @ at.turning @ L.T
         brake = -(push @ at.moving @ L.T) + swing
         none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None] * links
         if not springs:
@@ -434,14 +401,6 @@ class Embedding:
         if not self.integral:
             return [[spin, link], [pull, brake]]
         return [[spin, unit, none], [none, spin, link], [spring @ K["K_I"], pull, brake]]
-
-    @property
-    def _level_turn(self) -> Array:
-        """-S of a unit rate of the heading."""
-        turn = np.zeros((self.n, self.n))
-        x, y = (self.problem.coordinates.index(c) for c in ("x", "y"))
-        turn[x, y], turn[y, x] = 1.0, -1.0
-        return turn
 
     def speeds_of(self, angles: Mapping[str, Interval]) -> Interval:
         """Rows that give the body velocities from z, shape (boxes, n, size)."""

@@ -123,7 +123,7 @@ class Quadratic:
     # By range of headings of the set-point, which share a turn equally from north on; one where the heading
     # does not matter. Shape (ranges, 3n, 3n) or (ranges, 2n, 2n), SI.
     P: Array
-    frame: str  # what G turns by: "body" (G = R), "heading" or "earth" (not at all)
+    frame: str  # what G turns by: "body" (G = R) or "earth" (not at all)
     errors: Array  # largest of each coordinate, m and rad
     speeds: Array  # largest body velocities
     starts: Array  # largest error of each coordinate alone, at rest
