@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -300,19 +300,7 @@ _KEPT_FOR = 90 * 86400.0
 _LEFT_FOR = 3600.0
 
 
-class LibraryBuilder(Protocol):
-    """What makes a library out of a source: a command with its options."""
-
-    @property
-    def command(self) -> tuple[str, ...]: ...
-
-    @property
-    def identity(self) -> str: ...
-
-    def build(self, source: Path, library: Path) -> None: ...
-
-
-def library_for(source: str, compiler: LibraryBuilder, folder: Path | None = None) -> Path:
+def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
     """Path of the shared library of a C source, from the cache or compiled now.
 
     A library is taken from the cache only if the manifest beside it names this source and this compiler,
@@ -343,7 +331,7 @@ def _trusted(manifest: Path, expected: dict[str, str]) -> Path | None:
     return library if fits else None
 
 
-def _build(source: str, compiler: LibraryBuilder, manifest: Path, expected: dict[str, str]) -> Path:
+def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, str]) -> Path:
     try:
         with TemporaryDirectory(prefix="build-", dir=manifest.parent, ignore_cleanup_errors=True) as name:
             place = Path(name)
@@ -448,6 +436,7 @@ def _private_folder(reason: str) -> Path:
 
 # --- the compiler ---------------------------------------------------------------------------------
 T = TypeVar("T")
+U = TypeVar("U")
 _CANDIDATES = ("cl",) if sys.platform == "win32" else ("cc", "gcc", "clang")
 # No -ffast-math and no contraction: compiled code and the virtual machine have to agree to the last digits.
 # -O1: -O2 costs half as much time again to compile and gains nothing that could be measured.
@@ -597,7 +586,9 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         raise UndertowError(f"the C compiler '{command[0]}' cannot be run: {error}") from error
 
 
-def compiled_or_virtual(wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], T]) -> T:
+def compiled_or_virtual(
+    wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], U]
+) -> T | U:
     """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line."""
     if wish is False:
         return otherwise()

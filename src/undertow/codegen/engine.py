@@ -85,11 +85,7 @@ def _entry(library: ctypes.CDLL, name: str, result: Any) -> Callable[..., int]:
 
 def engine() -> Engine | None:
     """The engine, compiled once for all models, or that of the wheel; None where there is neither."""
-
-    def compiled(compiler: Compiler) -> Engine | None:
-        return _compiled(compiler.for_this_machine())
-
-    return compiled_or_virtual(None, compiled, _prebuilt)
+    return compiled_or_virtual(None, lambda compiler: _compiled(compiler.for_this_machine()), _prebuilt)
 
 
 @cache

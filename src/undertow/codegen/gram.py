@@ -191,6 +191,3 @@ class VirtualRows:
         table[:, list(known.row), list(known.column)] = entries
         table[~whole] = 0.0
         return table.reshape(-1, known.size + 1), int(whole.sum())
-
-
-RowSource = CompiledRows | VirtualRows

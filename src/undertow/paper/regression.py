@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import casadi as ca
@@ -13,7 +13,7 @@ from scipy.signal import savgol_filter
 
 from undertow.codegen.compiler import compiled_or_virtual
 from undertow.codegen.functions import Functions
-from undertow.codegen.gram import CompiledRows, RowSource, Sums, VirtualRows, layout
+from undertow.codegen.gram import CompiledRows, Sums, VirtualRows, layout
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Triangle
 from undertow.identification.estimation.weak_form import free_parameters
@@ -434,9 +434,7 @@ class LinearFit:
         rates = (f"{n}_dot" for n in vehicle.velocity_names)
         inputs = (*functions.state_names, *rates, *vehicle.command_names, "t")
         self.needed = tuple(inputs[i] for i in rows.needed)
-        self._rows: RowSource = compiled_or_virtual(
-            compiled, lambda c: _source(CompiledRows(rows, c)), lambda: _source(VirtualRows(rows))
-        )
+        self._rows = compiled_or_virtual(compiled, partial(CompiledRows, rows), partial(VirtualRows, rows))
 
     def triangle(self, samples: Mapping[str, Array]) -> tuple[Array, int]:
         """Few rows with the same products as those of all samples without a gap, and the count of these.
@@ -465,10 +463,6 @@ class LinearFit:
         for first in range(0, len(columns[0]) if columns else 0, _BLOCK):
             triangle.add(*self._rows.build([c[first : first + _BLOCK] for c in columns], self._p))
         return triangle.factor, triangle.count
-
-
-def _source(rows: RowSource) -> RowSource:
-    return rows
 
 
 def _cholesky(upper: Array) -> Array | None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from undertow.codegen.compiler import Compiler, compiled_or_virtual
+from undertow.codegen.compiler import compiled_or_virtual
 from undertow.codegen.engine import in_threads, shares
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, GainTable, load_gains
@@ -211,13 +212,9 @@ class ClosedLoop:
         return self._stepper
 
     def _best_stepper(self) -> LoopStepper:
-        def compiled(compiler: Compiler) -> LoopStepper:
-            return CompiledLoop(self.parts, compiler)
-
-        def virtual() -> LoopStepper:
-            return VirtualLoop(self.parts)
-
-        return compiled_or_virtual(self._compiled, compiled, virtual)
+        return compiled_or_virtual(
+            self._compiled, partial(CompiledLoop, self.parts), partial(VirtualLoop, self.parts)
+        )
 
     def _sample_every(self, dt: float) -> None:
         """Let an observer keep as many samples as its reports are late."""

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -292,14 +291,6 @@ class _Supports(ctypes.Structure):
     )
 
 
-class _Sums(Protocol):
-    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None: ...
-
-    def products(self, first: Index, felt: Array, bands: Array) -> None: ...
-
-    def solved(self, factor: Array, right: Array) -> Array: ...
-
-
 class SumsInC:
     """The sums in C."""
 
@@ -386,11 +377,8 @@ def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
 
 
 @cache
-def _sums() -> _Sums:
-    def compiled(compiler: Compiler) -> _Sums:
-        return SumsInC(compiler)
-
-    return compiled_or_virtual(None, compiled, SumsInNumPy)
+def _sums() -> SumsInC | SumsInNumPy:
+    return compiled_or_virtual(None, SumsInC, SumsInNumPy)
 
 
 def sums_source() -> tuple[str, str]:
