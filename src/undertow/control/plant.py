@@ -161,11 +161,6 @@ class Plant:
         """
         return self.inertial(self.C - self.M * self.J_inverse * self.J_dot)
 
-    @cached_property
-    def D_q(self) -> sm.Matrix:
-        """Damping in pose coordinates, shape (n, n); (12) of the mini-AUV paper."""
-        return self.inertial(self.D)
-
     # --- sets of parameters by direction ------------------------------------------------------
     @cached_property
     def reversing(self) -> tuple[sm.Symbol, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
 from undertow.errors import UndertowError
-from undertow.files import make_folder, read_json, read_text, write_whole
+from undertow.files import make_folder, read_json, read_text, sha256_of, write_whole
 from undertow.identification.findings import ResultTable
 from undertow.identification.logs.mapping import (
     CommandPolicy,
@@ -183,7 +183,7 @@ class Workspace:
         """The session of a folder, which is made where there is none."""
         path = folder / _FILE
         if not path.exists():
-            wanted = wanted.model_copy(update={"vehicle_sha256": _sha(wanted.vehicle)})
+            wanted = wanted.model_copy(update={"vehicle_sha256": sha256_of(resolve_vehicle(wanted.vehicle))})
             load_vehicle(wanted.vehicle, effect_files=map(Path, wanted.effects))  # before a folder is made
             make_folder(folder)
             place = cls(folder, wanted)
@@ -209,7 +209,7 @@ class Workspace:
     def vehicle_changed(self) -> bool:
         """Whether the vehicle file given was edited, or has gone, since the session began."""
         try:
-            return _sha(self.session.vehicle) != self.session.vehicle_sha256
+            return sha256_of(resolve_vehicle(self.session.vehicle)) != self.session.vehicle_sha256
         except (UndertowError, OSError):
             return True
 
@@ -276,7 +276,7 @@ class Workspace:
         chosen = [{**log.model_dump(), "path": _seen(Path(log.path))} for log in s.logs]
         mappings = [Path(s.mapping)] if s.mapping else map(place_beside, s.paths)
         small = [self.vehicle_file(), *map(Path, s.effects), *mappings]
-        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in small if path.exists()]
+        files = [sha256_of(path) for path in small if path.exists()]
         said = json.dumps([files, chosen, [r.lines for r in s.remedies], s.fill, s.trust_log])
         return hashlib.sha256(said.encode()).hexdigest()[:12]
 
@@ -348,10 +348,6 @@ def near(path: str | Path) -> str:
     """A path as somebody in the present folder would write it; the name of a bundled vehicle stays."""
     place = Path(path)
     return str(place.relative_to(Path.cwd())) if place.is_relative_to(Path.cwd()) else str(path)
-
-
-def _sha(vehicle: str) -> str:
-    return hashlib.sha256(resolve_vehicle(vehicle).read_bytes()).hexdigest()
 
 
 def _read(path: Path) -> Session:

@@ -219,7 +219,8 @@ def _starts(problem: Problem, level: float) -> dict[str, float]:
 def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
     """What is proved of the start, or of the largest usual start of which something is."""
     reason = _NOTHING_FOUND
-    for box in [start] if start else _usual(problem):
+    usual = [dict.fromkeys(problem.coordinates, e) for e in SETTINGS.usual_starts]
+    for box in [start] if start else usual:
         try:
             found = _searched(problem, box, start is not None)
         except UndertowError as error:
@@ -286,11 +287,6 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
         Commands(problem).result(found.commands.max(axis=0)),
         transient=found,
     )
-
-
-def _usual(problem: Problem) -> list[dict[str, float]]:
-    """Starts that are tried where none is stated, the largest first, m and rad."""
-    return [dict.fromkeys(problem.coordinates, e) for e in SETTINGS.usual_starts]
 
 
 def _of_quadratic(problem: Problem, found: Quadratic) -> Region:

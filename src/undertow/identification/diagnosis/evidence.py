@@ -43,21 +43,11 @@ class Comparison:
         return among * self.p_value < settings.false_alarm_rate and self.mean > settings.least_fall
 
 
-def compare_scores(
-    worse: Score, better: Score, data: WeakData, block: NDArray[np.intp] | None = None
-) -> Comparison:
-    """Compare two models on the same data, both whitened by the same noise model.
-
-    block: number of the block of every row; by default those of the data.
-    """
+def compare_scores(worse: Score, better: Score, data: WeakData) -> Comparison:
+    """Compare two models on the same data, both whitened by the same noise model."""
     fall = worse.r**2 - better.r**2
-    block = data.block if block is None else block
-    total, count = np.bincount(block, weights=fall), np.bincount(block)
+    total, count = np.bincount(data.block, weights=fall), np.bincount(data.block)
     means = total / np.maximum(count, 1)
-    return _summary(means)
-
-
-def _summary(means: Array) -> Comparison:
     mean = float(np.mean(means))
     n = len(means)
     half = float(student.ppf(0.975, n - 1) * np.std(means, ddof=1) / np.sqrt(n)) if n > 1 else np.inf

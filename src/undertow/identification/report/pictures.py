@@ -167,7 +167,15 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
         axis = axes[0, 0]
         errors = [step.error for step in steps]
         axis.axhline(1.0, color=FLOOR, linestyle="--")
-        axis.text(0.01, 1.02, "noise floor", color=FLOOR, ha="left", va="bottom", transform=_x_share(axis))
+        axis.text(
+            0.01,
+            1.02,
+            "noise floor",
+            color=FLOOR,
+            ha="left",
+            va="bottom",
+            transform=axis.get_yaxis_transform(),
+        )
         axis.plot(range(len(errors)), errors, color=FAINT, zorder=1)
         colours = [BEFORE, *[AFTER] * (len(errors) - 1)]
         axis.scatter(range(len(errors)), errors, color=colours[: len(errors)], s=64, zorder=2)
@@ -179,10 +187,6 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
         axis.set_ylabel("validation error [times noise]")
         axis.grid(axis="y")
     return picture
-
-
-def _x_share(axis: Any) -> Any:
-    return axis.get_yaxis_transform()
 
 
 def _step_name(step: Step, otherwise: str) -> str:
