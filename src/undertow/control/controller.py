@@ -348,11 +348,9 @@ class Controller:
         rates = self._converter(self._error, self._own, ca.SX(1)) if early else convert
         moving = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
         moving = moving if early else open_states * moving
-        return commands, self._anti_windup(moving, force, commands, states, convert), force
+        return commands, self._anti_windup(moving, force, commands, convert), force
 
-    def _anti_windup(
-        self, rates: ca.SX, force: ca.SX, commands: ca.SX, states: ca.SX, convert: Converter
-    ) -> ca.SX:
+    def _anti_windup(self, rates: ca.SX, force: ca.SX, commands: ca.SX, convert: Converter) -> ca.SX:
         """Rates of the law's states, zero for one that would ask for more of what the thrusters lack."""
         allocation, signals = self.allocation, self._signals
         if not (allocation.limited and rates.numel() and self.gains.allocation.anti_windup == "hold"):

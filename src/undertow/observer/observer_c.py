@@ -141,11 +141,11 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
         fields |= {"SENSOR": sensor, "ANGLE": int(process.angles[process.channels.index(sensor)])}
         bodies.append(f"{update.format(sensor)} {{\n{filled(_UPDATES[design.method], fields)}}}\n")
     defined = [struct.defined, _start(start, struct.members[-n:], c), *bodies]
-    kept = _kept(design, fields, c) if design.late else ([], [])
+    kept = _kept(design, fields) if design.late else ([], [])
     return declared + kept[0], defined + kept[1]
 
 
-def _kept(design: Design, fields: dict[str, object], c: Dialect) -> tuple[list[str], list[str]]:
+def _kept(design: Design, fields: dict[str, object]) -> tuple[list[str], list[str]]:
     """Lines of header and source where reports come late."""
     periods = [float(p) for p in design.period if p > 0] or [DESIGN.sample]
     step, longest = min(*periods, longest_step(design.process)), max(design.late.values())

@@ -78,7 +78,7 @@ def floating_vehicle(
     extents = " x ".join(f"{e:.4g}" for e in mesh.extents) + " m"
     text = vehicle_text(
         made_from=f"{spec.mesh} (sha256 {spec.sha256})",
-        about=list(_about(mesh, spec, hull)),
+        about=list(_about(spec, hull)),
         name=spec.name,
         description=f"First model of {spec.name} at the surface, from its hull ({extents}, {spec.mass:g} kg)",
         source=f"shape of {spec.mesh}, mass as stated; no test yet",
@@ -125,7 +125,7 @@ def _inertia(hull: Mesh, spec: HullSpec) -> Array:
     return np.block([[m * np.eye(3), -m * S], [m * S, about]])
 
 
-def _about(mesh: Mesh, spec: HullSpec, hull: Afloat) -> Iterator[str]:
+def _about(spec: HullSpec, hull: Afloat) -> Iterator[str]:
     x, y, z = hull.origin
     yield (
         f"It floats with {hull.draught:.4g} m of draught. The origin lies in the waterline, above the centre "

@@ -122,7 +122,7 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
     folder = folder_of(root, case, grid)
     if not (folder / "system" / "controlDict").is_file():
         raise UndertowError(f"{folder}: no OpenFOAM case there: write the tank again with undertow tank new")
-    cells = _grid(root, tank, case, folder, report)
+    cells = _grid(root, case, folder, report)
     if not _reached(folder, case):  # it may have been cut off after the last step
         _distribute(tank, case, grid, folder, cores)
         solver = ["pimpleFoam"] if cores == 1 else ["mpirun", "-np", str(cores), "pimpleFoam", "-parallel"]
@@ -206,7 +206,7 @@ def _fatal(watch: Watch) -> str:
     return " ".join(words[fatal[0] + 1 :][:3])[:200] if fatal else ""
 
 
-def _grid(root: Path, tank: Tank, case: Case, folder: Path, report: Progress) -> int:
+def _grid(root: Path, case: Case, folder: Path, report: Progress) -> int:
     """Make the grid if it is not there, and count its cells."""
     mark = folder / _GRID
     if "cells" in (said := _said(mark)):

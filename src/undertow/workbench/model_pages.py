@@ -447,11 +447,11 @@ def commands(place: Workspace) -> list[str]:
         for task in step.asked:
             word, _, effect = task.partition(" ")
             own += [f"{effect}.py"] if effect else []
-            found.append(_asked(word, effect, place, place.line(name, own)))
+            found.append(_asked(word, effect, place.line(name, own)))
     return [*found, f"undertow export c {shlex.quote(name)}"]
 
 
-def _asked(task: str, effect: str, place: Workspace, line: CommandLine) -> str:
+def _asked(task: str, effect: str, line: CommandLine) -> str:
     """The command that asks what a button asked."""
     if task == "diagnose":
         return line.fitting(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")

@@ -187,7 +187,7 @@ def repair(problem: Problem, kind: str) -> Repair:
         )
     variables = _Variables(problem, KINDS[kind].changes)
     for slack in SETTINGS.slacks:
-        found = _with_slack(problem, kind, variables, slack)
+        found = _with_slack(kind, variables, slack)
         if not found.found or _still_holds(problem, found):
             return found
     return Repair(kind, KINDS[kind].method, {}, {}, None, False)
@@ -198,7 +198,7 @@ def six_digits(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _with_slack(problem: Problem, kind: str, variables: _Variables, slack: float) -> Repair:
+def _with_slack(kind: str, variables: _Variables, slack: float) -> Repair:
     size, conditions = variables.size, KINDS[kind].conditions
     if kind == "routh":
         change = least_change(_routh_cuts(variables), size, slack)

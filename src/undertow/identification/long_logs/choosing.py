@@ -182,7 +182,7 @@ def choose(
     cut = cut[:: -(-len(cut) // min(CUTTING.most, regressor.most_segments()))]
     kept = _kept([log.path for log in logs], len(holdout), budget)
     progress(0.6, "computing the information of each segment")
-    pools = _pools(cut, spools, kept, budget)
+    pools = _pools(cut, kept, budget)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "extracting segments")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
@@ -228,9 +228,7 @@ def _kept(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
     return {i for i, path in enumerate(files) if from_last[path] % CUTTING.kept_logs == 0}
 
 
-def _pools(
-    cut: list[Segment], spools: Sequence[Spool], kept: set[int], budget: Budget
-) -> tuple[list[Segment], list[Segment]]:
+def _pools(cut: list[Segment], kept: set[int], budget: Budget) -> tuple[list[Segment], list[Segment]]:
     """Segments to work on, and those to judge by."""
     if kept or not budget.judge:
         return [s for s in cut if s.log not in kept], [s for s in cut if s.log in kept]
@@ -471,7 +469,7 @@ class _Tally:
     counts: list[Array] = field(default_factory=list)
     diverged: int = 0
 
-    def add(self, vehicle: Vehicle, prediction: Prediction) -> None:
+    def add(self, prediction: Prediction) -> None:
         """Take a piece up."""
         residual = _velocities(prediction, prediction.residual)
         whole = np.isfinite(prediction.predicted).all(axis=2) | ~prediction.windows.inside
@@ -505,7 +503,7 @@ def checked(
         except UndertowError:  # a piece too short or too full of gaps to be simulated
             continue
         for name, prediction in predictions.items():
-            tallies[name].add(models[name], prediction)
+            tallies[name].add(prediction)
         first = next(iter(predictions.values()))
         measured = _velocities(first, first.windows.measured)
         motion.append((np.nansum(measured**2, axis=(0, 1)), np.isfinite(measured).sum(axis=(0, 1))))
