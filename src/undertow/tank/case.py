@@ -286,19 +286,17 @@ def _plain(label: str) -> str:
     return "".join(c if c.isalnum() and c.isascii() else "-" for c in label)
 
 
-def write_tank(root: Path, tank: Tank, hull: Mesh) -> list[Path]:
-    """Write the tank and all files of its cases, all or none; the folders of the cases are returned."""
-    folders = []
+def write_tank(root: Path, tank: Tank, hull: Mesh) -> None:
+    """Write the tank and all files of its cases, all or none."""
     with together():
         make_folder(root / "logs")
         write_whole(root / FILE, tank.text())
         write_whole(root / HULL, stl_bytes(hull))
         for case, grid in product(tank.cases, range(1, tank.grids + 1)):
-            folders.append(folder_of(root, case, grid))
+            folder = folder_of(root, case, grid)
             for name, text in case_files(tank, case, grid).items():
-                make_folder((folders[-1] / name).parent)
-                write_whole(folders[-1] / name, text)
-    return folders
+                make_folder((folder / name).parent)
+                write_whole(folder / name, text)
 
 
 def section_axis(motion_name: str) -> int:

@@ -409,8 +409,7 @@ def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
     return Line(name, np.asarray(t), np.asarray(y).ravel())
 
 
-def locus(system: ct.StateSpace) -> tuple[Array, NDArray[np.complex128]]:
-    """Poles of a loop closed with a gain times the system: gains (n,), and poles (n, order)."""
+def locus(system: ct.StateSpace) -> NDArray[np.complex128]:
+    """Poles (n, order) of a loop closed with n gains times the system."""
     gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * SETTINGS.points)])
-    found = ct.root_locus_map(system, gains=gains)
-    return np.asarray(found.gains), np.asarray(found.loci)
+    return np.asarray(ct.root_locus_map(system, gains=gains).loci)

@@ -310,7 +310,7 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
     drawn, what, _ = _opened(found, channels[:3])
     shown, axes = figure(1.0 + 3.6 * len(drawn), len(drawn))
     for axis, colour, (name, system) in zip(axes[:, 0], _cycle(len(drawn)), drawn, strict=True):
-        _, paths = locus(system)
+        paths = locus(system)
         axis.plot(paths.real, paths.imag, color=colour, linewidth=1.1)
         begin, end = system.poles(), np.asarray(system.zeros())
         axis.plot(begin.real, begin.imag, "x", color=INK, label="gain 0")
