@@ -16,15 +16,8 @@ from undertow.identification.diagnosis.consistency import (
     vanished_inertia,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
-from undertow.identification.diagnosis.selection import (
-    Graded,
-    Selection,
-    alternatives,
-    dominated,
-    merged,
-    rivals_beside_later,
-    without_inertia,
-)
+from undertow.identification.diagnosis.grading import Graded, alternatives, dominated, without_inertia
+from undertow.identification.diagnosis.selection import Selection, merged, rivals_beside_later
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
 from undertow.identification.estimation.fitted import Fitted

@@ -25,10 +25,11 @@ from undertow.typing import Array, Progress
 
 from .comparison import compare
 from .diagnosis.bench import noise_ratio
+from .diagnosis.grading import found_beside
 from .diagnosis.parallel import in_background, one_thread
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
-from .diagnosis.selection import Selection, found_beside, select, selected
+from .diagnosis.selection import Selection, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.validation import SimulationValidator

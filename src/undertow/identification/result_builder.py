@@ -26,6 +26,7 @@ from .diagnosis.candidates import possible
 from .diagnosis.consistency import kept_beside, knows_time, own_variables, states_time
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_quick_to_tell, with_effects
 from .diagnosis.floors import noise_floors
+from .diagnosis.grading import Graded, found_beside
 from .diagnosis.reference import is_disturbance, predictable
 from .diagnosis.residual import remaining, unknown_to
 from .diagnosis.result import (
@@ -41,7 +42,7 @@ from .diagnosis.result import (
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
-from .diagnosis.selection import Graded, Selection, found_beside
+from .diagnosis.selection import Selection
 from .diagnosis.validation import SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,

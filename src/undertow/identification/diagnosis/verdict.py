@@ -30,10 +30,11 @@ from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
 from .consistency import left_open
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
+from .grading import Graded, found_beside
 from .result import NO_EVIDENCE, Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
-from .selection import Graded, Selection, found_beside
+from .selection import Selection
 from .settings import DEFAULT, Settings
 from .trial import screen
 
