@@ -270,6 +270,23 @@ def test_the_term_in_the_residual_is_found_with_its_coefficient() -> None:
     assert found.errors == pytest.approx([0.06, 0.06], rel=1.0)
 
 
+def test_two_thrusters_with_one_command_share_their_coefficient() -> None:
+    rng = np.random.default_rng(4)
+    parts = []
+    for _ in range(2):
+        command = _slow(rng, 800)
+        columns = np.column_stack([command, command])
+        # Rounding alone tells the two apart, and must not.
+        columns[:, 1] *= 1.0 + 1e-15 * rng.standard_normal(800)
+        r = _slow(rng, 800) - 0.8 * command
+        parts.append(Sample(r, np.zeros((800, 0)), columns, np.arange(800) // 60))
+    both = Term("each command", (("port",), ("starboard",)))
+    found = Association((both,), Samples(*parts, parts[1]), np.zeros((0, 0))).strongest()
+    assert found is not None
+    assert found.coefficients == pytest.approx([0.4, 0.4], abs=0.1)
+    assert np.all(found.errors < 0.1)
+
+
 def test_what_is_taken_out_does_not_come_back() -> None:
     start = _association(1, (0.5, 0.8, -0.6))
     first = start.strongest()

@@ -368,7 +368,7 @@ class Association:
         a, b = fitted.by_block(first * fitted.r[:, None]), validation.by_block(second * validation.r[:, None])
         news = np.diag(gram) > SETTINGS.news * whole
         return [
-            _Tried(t, a[:, c], b[:, c], inverse_of(gram[c, c]), second[:, c].T @ second[:, c])
+            _Tried(t, a[:, c], b[:, c], _inverse(gram[c, c]), second[:, c].T @ second[:, c])
             for t in self.terms
             for c in [self.places[t.label]]
             if t.label not in self.taken and np.all(news[c])
@@ -381,6 +381,18 @@ class Association:
         scores = fitted.by_block(column * (fitted.r + column @ coefficients)[:, None])
         spread = t.inverse @ (scores.T @ scores) @ t.inverse
         return Found(t.term, coefficients, np.sqrt(np.diag(spread)), gain, chance, alike)
+
+
+def _inverse(gram: Array) -> Array:
+    """Inverse of the products of columns; equal columns (two thrusters with one command) share what is found.
+
+    A ridge would give them coefficients of any size that cancel.
+    """
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / np.outer(size, size)
+    return np.asarray(
+        np.linalg.pinv((scaled + scaled.T) / 2, rcond=SETTINGS.rank, hermitian=True) / np.outer(size, size)
+    )
 
 
 def _response(sample: Sample, columns: Array, stiffness: Array) -> Array:
