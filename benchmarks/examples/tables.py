@@ -145,7 +145,8 @@ def _next(d: Reported) -> str:
 def ranking(d: Reported) -> str:
     """Candidates beyond chance: what each does to the error of long simulations, and why it is not named."""
     named = _named(d)
-    shown = [r for r in d["ranking"] if r["significant"] or r["effect"] in named][:_CANDIDATES]
+    kept = {*named, *_helping(d)}
+    shown = [r for r in d["ranking"] if r["significant"] or r["effect"] in kept][:_CANDIDATES]
     if not shown:
         return f"None of {d['candidates']} candidates does more than chance.\n"
     longest = next((list(r["falls"])[-1] for r in shown if r["falls"]), None)

@@ -425,7 +425,7 @@ def test_what_a_run_leaves_open_is_no_value_of_it() -> None:
 # --- terms and words -----------------------------------------------------------------------------------
 def test_terms_are_made_of_what_the_vehicle_has() -> None:
     labels = {t.label for t in terms_of(load_vehicle("mini-auv"), ("z", "psi"))}
-    assert {"a constant", "u", "|u| u", "u u", "|r| u", "u v", "t u", "z", "f1", "f1 f2"} <= labels
+    assert {"a constant", "u", "|u| u", "u^2", "|r| u", "u v", "t u", "z", "f1", "f1 f2"} <= labels
     assert {"sin and cos of psi", "sin and cos of 2 psi", "z sin and cos of psi", "f2 u"} <= labels
     assert not labels & {"p", "q", "phi", "sin(phi)", "x"}
     assert "sin and cos of psi" not in {t.label for t in terms_of(load_vehicle("mini-auv"), ())}
@@ -483,7 +483,7 @@ def _reported(columns: list[list[str]], coefficients: list[float], term: str) ->
         units=["N"] * size,
         share=0.706,
         chance=0.001,
-        alike=["|v| u", "u u", "f1"],
+        alike=["|v| u", "u^2", "f1"],
     )
 
 
@@ -519,7 +519,7 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
     assert sentence(left, loud=True) == (
-        "surge: 0.81 N rms remains above the noise; 71 % of it correlates with |r| u or |v| u or u u (slows "
+        "surge: 0.81 N rms remains above the noise; 71 % of it correlates with |r| u or |v| u or u^2 (slows "
         "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, with a "
         "different phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
@@ -536,7 +536,7 @@ def test_one_motion_driven_by_a_force_in_the_log() -> None:
     fit, aside = _refitted(vehicle, runs[:2], runs[2:])
     (left,) = remaining(fit, fit.data, aside)
     assert left.normalised_error > 3.0
-    assert {"|u| u", "u u"} & {left.depends_on[0].term, *left.depends_on[0].alike}
+    assert {"|u| u", "u^2"} & {left.depends_on[0].term, *left.depends_on[0].alike}
 
 
 def _turning(fit: WeakFit, aside: WeakData) -> Dependence:

@@ -131,10 +131,11 @@ def step_time(column: Sequence[str]) -> str | None:
 
 
 def label_of(column: Column) -> str:
-    """A column in readable form: ``|r| u``, ``t |u| u``, ``a step at 35 s``, ``|u| u from 35 s on``."""
+    """A column in readable form: ``|r| u``, ``u^2``, ``a step at 35 s``, ``|u| u from 35 s on``."""
     if (time := step_time(column)) is not None:
         return f"{label_of(column[1:])} from {time} s on" if column[1:] else f"a step at {time} s"
-    return " ".join(f.replace(_COMMAND, "") for f in column) or "a constant"
+    factors = Counter(f.replace(_COMMAND, "") for f in column)
+    return " ".join(f if times == 1 else f"{f}^{times}" for f, times in factors.items()) or "a constant"
 
 
 def plain_of(factor: str) -> str:
