@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import control as ct
 import numpy as np
@@ -103,6 +104,27 @@ def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
     trim, ideal = find_trim(sticky), find_trim(auv)
     assert trim.commands["f1"] == pytest.approx(ideal.commands["f1"] - 0.3, abs=0.02)
     assert controllability(linearize(sticky, trim)).missing == ("x", "y", "psi", "u", "v", "r")
+
+
+def test_a_flat_part_of_a_thrust_curve_hides_no_trim_and_is_named(tmp_path: Path) -> None:
+    """Thrust 4 c beyond a flat part of 0.1: at 0.5 m/s two propellers bear a drag of 16 u |u|."""
+    (tmp_path / "t.csv").write_text("command,N\n-1,-4\n-0.1,0\n0,0\n0.5,2\n1,4\n")
+    sides = "".join(
+        f'[[thrusters]]\nname = "{name}"\nposition = [0, {y}, 0]\ndirection = [1, 0, 0]\ncurve = "t.csv"\n'
+        for name, y in (("port", -0.3), ("starboard", 0.3))
+    )
+    (tmp_path / "boat.toml").write_text(
+        'schema = "undertow/vehicle/1"\nname = "boat"\ndegrees_of_freedom = ["surge", "yaw"]\n'
+        'signs = "magnitudes"\n[effects.rigid_body]\nm = 30\nI_z = 3\n[effects.linear_damping]\nN_r = 10\n'
+        f"[effects.quadratic_damping]\nX_uabsu = 16\n{sides}"
+    )
+    boat = load_vehicle(str(tmp_path / "boat.toml"))
+    ahead = find_trim(boat, {"u": 0.5})
+    assert ahead.commands == pytest.approx({"port": 0.5, "starboard": 0.5})
+    assert ahead.remarks == ()
+    rest = find_trim(boat)
+    assert rest.idle == ("port", "starboard")
+    assert "small changes of port, starboard have no effect here" in rest.remarks[0]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import inf, isfinite
@@ -296,6 +297,7 @@ class Trim:
     wanted: Request  # what was held
     remarks: tuple[str, ...] = ()  # what was assumed
     turning: bool = False  # whether the heading changes, so that slopes in x and y depend on time
+    idle: tuple[str, ...] = ()  # commands around which a small change has no effect
     # what the sensors report of pose and velocity, by name, SI: what a controller gets
     reports: Mapping[str, float] = field(default_factory=dict)
 
@@ -354,13 +356,26 @@ def find_trim(
     wanted = request(vehicle, held, free)
     trim = _search(vehicle, wanted, dict(direction or {}), numeric)
     assumed = [f"{name}={way}" for name, way in trim.direction.items() if name not in (direction or {})]
+    return replace(trim, remarks=(*_on_direction(assumed), *_on_idle(trim)))
+
+
+def _on_direction(assumed: Collection[str]) -> list[str]:
     if not assumed:
-        return trim
-    remark = (
+        return []
+    return [
         "at rest in the water the direction of motion is ambiguous: parameters for "
         f"{', '.join(assumed)} are taken"
-    )
-    return replace(trim, remarks=(remark,))
+    ]
+
+
+def _on_idle(trim: Trim) -> list[str]:
+    """What to say of commands around which a small change has no effect."""
+    if not trim.idle:
+        return []
+    return [
+        f"small changes of {', '.join(trim.idle)} have no effect here (a dead band, a flat part of a thrust "
+        "curve, or a rudder without flow): choose another motion, such as --at u=0.5"
+    ]
 
 
 def _search(
@@ -388,24 +403,38 @@ def _search(
     turning = any(
         abs(r) > SETTINGS.at_rest for n, r in zip(numeric.states, rates, strict=True) if n in POSE[3:]
     )
-    return Trim(states, commands, direction, wanted, turning=bool(turning), reports=numeric.reports(x, u))
+    idle = tuple(
+        n
+        for n, felt in zip(numeric.commands, np.any(numeric.slopes(x, u)[2], axis=0), strict=True)
+        if not felt
+    )
+    return Trim(states, commands, direction, wanted, (), bool(turning), idle, numeric.reports(x, u))
 
 
 def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
-    """State and commands; with a dead band, from the commands that ideal thrusters need."""
-    balance, vehicle = Balance(numeric, wanted), numeric.vehicle
+    """State and commands; where no command moves the vehicle at rest, from commands beyond its dead band."""
+    balance = Balance(numeric, wanted)
     try:
         return solve(balance)
     except UndertowError:
-        ideal = with_ideal_thrust(vehicle)
-        if len(ideal.effects) == len(vehicle.effects):
-            raise
-        try:
-            _, commands = solve(Balance(Numeric(ideal), wanted))
-            return solve(balance, commands)
-        except UndertowError:
-            pass
+        for commands in _beyond_dead_bands(numeric, wanted):
+            with suppress(UndertowError):
+                return solve(balance, commands)
         raise
+
+
+def _beyond_dead_bands(numeric: Numeric, wanted: Request) -> Iterator[Array]:
+    """Commands that ideal thrusters need, then half of what commands can be, ahead and astern.
+
+    Dead bands and flat parts of thrust curves leave the search at rest without a direction.
+    """
+    ideal = with_ideal_thrust(numeric.vehicle)
+    if len(ideal.effects) < len(numeric.vehicle.effects):
+        with suppress(UndertowError):
+            yield solve(Balance(Numeric(ideal), wanted))[1]
+    for limits in (numeric.vehicle.largest_commands, numeric.vehicle.lowest_commands):
+        if limits:
+            yield np.array([limits.get(name, 0.0) / 2 for name in numeric.commands])
 
 
 def _through_water(numeric: Numeric, x: Array, name: str) -> float:
