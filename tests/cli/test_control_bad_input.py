@@ -104,6 +104,13 @@ def test_a_lag_that_the_design_does_not_bear_is_reported(here: Path, capsys: Cap
     assert "does not hold the vehicle" in refusal(DESIGN, capsys, here)
 
 
+@pytest.mark.parametrize("words", [DESIGN, ["gains", "lazy.toml", "gains.toml"]], ids=lambda words: words[0])
+def test_thrust_by_a_curve_is_to_be_stated_in_newtons(here: Path, capsys: Capture, words: list[str]) -> None:
+    Path("lazy.toml").write_text(HEAVE + THRUSTER + 'curve = "t200-16v"\n')
+    assert "thrust of f1 is not proportional to the command" in (said := refusal(words, capsys, here))
+    assert "state these thrusters with limit and lowest in N" in said
+
+
 # --- what design says is what gains says ----------------------------------------------------------
 FULL = ["--error", "x=0.5,z=0.2,psi=0.2", "--force", "surge=1,heave=2,yaw=0.1"]
 

@@ -231,6 +231,18 @@ def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
+def in_newtons(vehicle: Vehicle) -> str:
+    """What to do with thrusters whose thrust is not proportional to the command; empty if there are none."""
+    bent = [t for t in vehicle.thrusters if t.law is not None]
+    if not bent:
+        return ""
+    return (
+        f"thrust of {', '.join(t.name for t in bent)} is not proportional to the command (curve, "
+        "revolutions): laws command newtons, so in a copy of the vehicle file state these thrusters with "
+        "limit and lowest in N instead (the exported C has the inverse of a curve)"
+    )
+
+
 @lru_cache(maxsize=32)
 def _inverse(block: sm.ImmutableMatrix) -> sm.Matrix:
     """The inverse of a block of J, in few terms; the vehicles of a session have few such blocks."""
