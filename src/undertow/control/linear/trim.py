@@ -374,7 +374,7 @@ def _on_idle(trim: Trim) -> list[str]:
         return []
     return [
         f"small changes of {', '.join(trim.idle)} have no effect here (a dead band, a flat part of a thrust "
-        "curve, or a rudder without flow): choose another motion, such as --at u=0.5"
+        "curve, or a rudder without flow): linearise at a motion that needs them (--at)"
     ]
 
 

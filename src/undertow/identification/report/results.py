@@ -155,9 +155,9 @@ def _what_it_does(addition: Addition) -> str:
     if rises(before, after):
         return f"{change}; {errors}, so it does not improve predictions enough to be added."
     old, new = addition.before.error, addition.after.error
-    force = "falls, which may be chance," if new < old else "does not fall"
+    force = "falls, which may be chance" if new < old else "does not fall"
     return (
-        f"{change}; {errors}, less than the required {DEFAULT.worth:.0%}, and the error of "
+        f"{change}; {errors}, and it has to fall by {DEFAULT.worth:.0%}; the error of "
         f"the force {force} ({old:.4g} to {new:.4g} times the noise)."
     )
 
