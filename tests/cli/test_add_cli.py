@@ -93,9 +93,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
 @pytest.mark.slow
 def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: Capture) -> None:
     assert add("dry_friction", "--out", "new.toml", "--force") == 0
-    assert re.search(
-        r"Adding dry_friction .* the 5-s error.*it has to fall by 10%", capsys.readouterr().out
-    )
+    assert re.search(r"Adding dry_friction .* the 5-s error.*it has to fall by 10%", capsys.readouterr().out)
     table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
     assert "dry_friction" in table["effects"]
     assert table["history"][0]["helps"] is False

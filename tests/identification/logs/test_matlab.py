@@ -218,6 +218,15 @@ def test_clocks_since_1970_and_from_the_start_begin_together(tmp_path: Path) -> 
     assert log.series["b"].t == pytest.approx(t)
 
 
+def test_measurements_without_a_time_of_their_length_are_named(tmp_path: Path) -> None:
+    """A recorder that stopped a sample later; gains and the like are no measurements."""
+    t = 0.1 * np.arange(60)
+    content = {"time": t, "heading": np.sin(t), "speed": np.ones(61), "gains": np.ones(3)}
+    log = read_field_log(_written(tmp_path, content))
+    assert list(log.series["workspace"].columns) == ["heading"]
+    assert log.notes == ("no time has as many samples as speed (61), which was left out",)
+
+
 def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:
     cells = np.empty((1, 2), dtype=object)
     cells[0, 0], cells[0, 1] = np.arange(50.0), np.arange(40.0)

@@ -112,10 +112,13 @@ class Loaded(NamedTuple):
 
 
 def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:
-    """Print the notes of the readers of vehicles' own logs, by the path of the log."""
+    """Print the notes of the readers of vehicles' own logs by the path of the log, the same note once."""
+    sources: dict[str, list[str]] = {}
     for source, lines in notes.items():
-        for line in lines:
-            say(f"{source}: {line}", "dim")
+        for line in dict.fromkeys(lines):
+            sources.setdefault(line, []).append(source)
+    for line, (first, *others) in sources.items():
+        say(f"{first}{f' and {len(others)} more' if others else ''}: {line}", "dim")
 
 
 def _refuse_rig(model: Vehicle, runs: Iterable[Run]) -> None:

@@ -34,6 +34,9 @@ class MatlabSettings:
     """Numbers that decide what of a file is read."""
 
     widest: int = 16  # columns of a matrix that are measurements of their own
+    run: float = (
+        0.5  # of the samples of the shortest clock, for a variable to be a measurement, not a setting
+    )
     # Numbers of days that are dates (datenum): from 1970 to 2100.
     dates: tuple[float, float] = (719_529.0, 767_011.0)
 
@@ -49,7 +52,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     objects: list[str] = []
     content = {n: _plain(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
     notes = _on_objects(objects)
-    found = list(_series(_WORKSPACE, content, {}))
+    untimed: list[str] = []
+    found = list(_series(_WORKSPACE, content, {}, untimed))
     if not found:
         cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and _is_long(v[0])}
         if cells:
@@ -64,7 +68,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     found = from_one_begin(found)
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
-    about, asked = tuple(notes), tuple(questions)
+    about, asked = tuple([*notes, *_on_untimed(untimed)]), tuple(questions)
     return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
 
 
@@ -75,6 +79,12 @@ def _on_objects(names: Sequence[str]) -> list[str]:
     them, one = ("it as a struct", "is an object") if len(names) == 1 else ("them as structs", "are objects")
     how = f"a table or timetable by S = table2struct(timetable2table({names[0]}), 'ToScalar', true)"
     return [f"{listed(names)} {one} of MATLAB: save {them}, {how}"]
+
+
+def _on_untimed(names: Sequence[str]) -> list[str]:
+    """One note on measurements of which nothing says when they were taken."""
+    verb = "was" if len(names) == 1 else "were"
+    return [f"no time has as many samples as {listed(names)}, which {verb} left out"] if names else []
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
@@ -161,8 +171,13 @@ def _in_seconds(times: Any) -> Array:
 
 
 # --- from names and arrays to series --------------------------------------------------------------
-def _series(name: str, members: Mapping[str, Any], clocks: Mapping[int, Array]) -> Iterator[Series]:
-    """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number."""
+def _series(
+    name: str, members: Mapping[str, Any], clocks: Mapping[int, Array], untimed: list[str]
+) -> Iterator[Series]:
+    """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number.
+
+    Variables as long as a run that have no such time are added to `untimed`, with their samples.
+    """
     arrays = {n: a for n, value in members.items() if (a := _numbers(value)) is not None}
     times = {n: t for n, a in arrays.items() if is_time(n) and (t := _seconds(n, a)) is not None}
     own = {len(t): t for t in reversed(times.values())}
@@ -174,13 +189,17 @@ def _series(name: str, members: Mapping[str, Any], clocks: Mapping[int, Array]) 
             length, columns = _columns(called, array, known)
             by_length.setdefault(length, {}).update(columns)
     several = sum(length in known for length in by_length) > 1
+    shortest = SETTINGS.run * min(known, default=np.inf)
+    untimed += [
+        f"{n} ({k})" for k, columns in by_length.items() if k not in known and k > shortest for n in columns
+    ]
     for length, columns in by_length.items():
         if length in known and columns:
             yield Series(f"{name}[{length}]" if several else name, known[length], columns)
     inside = name if name != _WORKSPACE else ""
     for field, value in members.items():
         for label, struct in _structs(field, value):
-            yield from _series(f"{inside}.{label}" if inside else label, struct, known)
+            yield from _series(f"{inside}.{label}" if inside else label, struct, known, untimed)
 
 
 def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
