@@ -838,6 +838,18 @@ def test_a_speed_is_no_command_of_the_side_that_it_names() -> None:
     assert read["Speed left (kn)"] == "v"
 
 
+def test_what_a_thruster_consumes_is_not_its_command() -> None:
+    """A boat that logs power and current of its thrusters: no force, whatever the columns are called."""
+    t = np.arange(60.0)
+    table = {"time": t, "Port thruster (kW)": np.sin(t), "Starboard thruster [A]": np.cos(t)}
+    assert not guess_table(pl.DataFrame(table), Path("log.csv"), load_vehicle("otter")).columns
+    forces = {
+        column.split(" ")[0] + " thruster (N)": cells for column, cells in table.items() if cells is not t
+    }
+    found = guess_table(pl.DataFrame({"time": t} | forces), Path("log.csv"), load_vehicle("otter"))
+    assert {guess.channel for guess in found.columns} == {"port", "starboard"}
+
+
 def test_rows_of_a_clock_with_too_few_digits_are_taken_as_evenly_spaced(case: Path) -> None:
     """A log of 7.4 rows a second whose times have three significant digits, as of a tanker of MARIN."""
     t = 0.1353 * np.arange(4000)

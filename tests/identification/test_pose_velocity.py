@@ -31,6 +31,15 @@ def test_a_log_with_velocities_along_the_earth_says_so_to_the_model(velocity: st
     assert not as_reported(vehicle, [run, Run("other", t, run.channels)]).velocity_along_earth
 
 
+def test_a_pose_of_few_digits_that_mostly_rests_has_the_noise_of_its_digits() -> None:
+    t, digit = np.arange(1200.0), 0.1
+    heading = np.where(t > 900, 30 * np.sin((t - 900) / 30), 0.0)
+    found = track(t, np.round(heading / digit) * digit)
+    assert found.noise == pytest.approx(digit / np.sqrt(12), rel=0.3)
+    true = np.where(t > 900, np.cos((t - 900) / 30), 0.0)
+    assert np.sqrt(np.mean((found.rate - true)[950:] ** 2)) < 0.02
+
+
 def _waves(t, parts):
     """Return a sum of sines and its derivative; `parts` are (size, rate, phase)."""
     value = sum(size * np.sin(rate * t + phase) for size, rate, phase in parts)

@@ -95,6 +95,14 @@ def test_noise_is_known_on_a_clock_without_two_steps_alike() -> None:
     assert found == pytest.approx(0.01, rel=0.05)
 
 
+def test_a_sensor_of_few_digits_that_mostly_rests_has_the_noise_of_its_digits() -> None:
+    """A heading in tenths of a degree, at rest for most of the log: the median difference is zero."""
+    t, digit = np.arange(2000.0), 0.1
+    heading = np.where(t > 1500, 30 * np.sin((t - 1500) / 30), 0.0)
+    found = white_noise(t, np.round(heading / digit) * digit)
+    assert found == pytest.approx(digit / np.sqrt(12), rel=0.3)
+
+
 def test_noise_of_a_constant_channel_is_zero() -> None:
     assert white_noise(CLOCK, np.zeros(len(CLOCK))) == 0.0
 

@@ -25,6 +25,8 @@ _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
 # "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
 _NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "m/s^2"}
+# Units of what is consumed or sensed beside the motion; in brackets alone: "w" is a heave velocity.
+_OF_ELSE = {"w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh"}
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
     "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,
@@ -161,7 +163,7 @@ class Name:
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         words = _with_dots(words)
         if bracket is not None:
-            return cls(column, tuple(words), known_unit(bracket[1]))
+            return cls(column, tuple(words), known_unit(bracket[1]) or _OF_ELSE.get(bracket[1].lower(), ""))
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
             speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
@@ -320,7 +322,7 @@ class Name:
         also = [other for word in wanted for other in _ALSO.get(word, ())]
         if self.column.lower() == command.lower():
             return 0.0
-        if self.unit in _NO_COMMANDS:
+        if self.unit in {*_NO_COMMANDS, *_OF_ELSE.values()}:
             return NO_FIT
         if set(wanted) <= set(self.words):
             return 1.0
@@ -344,7 +346,8 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        return drives and not {"limit", *_CONSUMED} & {*self.words} and not self.of_header
+        other = {"limit", *_CONSUMED} & {*self.words} or self.unit in _OF_ELSE.values()
+        return drives and not other and not self.of_header
 
     @property
     def unnumbered(self) -> list[str]:

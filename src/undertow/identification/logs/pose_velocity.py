@@ -178,6 +178,9 @@ def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
     filtered = _filter(tiled, np.repeat(10.0**decades, count))
     seen = np.cumsum(np.isfinite(tiled.y), axis=0)
     use = np.isfinite(tiled.y) & (seen > _BURN_IN)
+    new = use & (np.diff(tiled.y, axis=0, prepend=np.nan) != 0.0)
+    if SETTINGS.fewest * grid <= np.sum(new) < np.sum(use) / 2:  # few digits, mostly at rest: where it is new
+        use = new
     square = np.where(use, filtered.innovation**2 / filtered.variance, np.nan).reshape(-1, grid, count)
     typical = np.nanmedian(square, axis=(0, 2)) / 0.455
     square = np.nansum(np.minimum(square, SETTINGS.outlying * typical[:, None]), axis=(0, 2))

@@ -489,8 +489,11 @@ def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
 def noise_variance(wild: Array) -> float:
     """Variance of noise (k,) that may have a few kinks and jumps of a motion in it.
 
-    Of what is no kink or jump the mean square is known twice as well as the median.
+    Of what is no kink or jump the mean square is known twice as well as the median. Where most of it is zero,
+    as of a sensor with few digits at rest, the rest alone tells.
     """
+    if not robust_scale(wild):
+        wild = wild[wild != 0.0]
     rough = robust_scale(wild)
     within = wild[np.abs(wild) <= SERIES.outlying * rough]
     return float(np.mean(within**2)) / SERIES.variance_within if len(within) else 0.0
