@@ -182,7 +182,9 @@ _ABOUT = {
     "GuidanceTable.steepest": "largest desired pitch",
     "CurrentTable.north": "velocity of the water, m/s",
     "CurrentTable.east": "velocity of the water, m/s",
-    "Channel.expression": "formula in the names of columns",
+    "Channel.expression": "formula in the names of columns, `column('...')` where a name is no word, such as "
+    "`sog * cos((cog - column('heading (deg)')) * pi / 180)`; "
+    "[what it may contain](actuators.md#commands-by-a-formula)",
     "Channel.unit": "unit of the result; default: the SI unit of the channel",
 }
 
