@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
-from undertow.identification.diagnosis.candidates import Candidate, candidates
+from undertow.identification.diagnosis.candidates import Candidate, candidates, possible
 from undertow.identification.diagnosis.evidence import (
     Blocks,
     Chance,
@@ -310,6 +310,19 @@ def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
     assert listed["sensor_delay"] == {"velocity_delay"}
     free = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue())}
     assert free["sensor_scale"] == {"scale_velocity", "scale_rate"}
+
+
+def test_without_a_pose_beside_it_no_velocity_is_blamed_for_its_scale() -> None:
+    """Speed and rate alone: a factor of the speed is one of mass and drag, which nothing contradicts."""
+    case = make_case("usv", (), 22, duration=20.0)
+    model, runs = vehicle_of(case), runs_of(case)
+    bare = [replace(r, channels={k: v for k, v in r.channels.items() if k not in "xy"}) for r in runs]
+    missing = prepare(bare, model).not_measured
+    assert missing == {"derived": (), "unchecked": ("u", "v")}
+    listed = {c.id: {p.name for p in c.parameters} for c in possible(model, catalogue(), **missing)}
+    assert listed["sensor_scale"] == {"scale_rate"}
+    assert listed["sensor_bias"] == {"b_u", "b_v", "b_r"}
+    assert prepare(runs, model).not_measured["unchecked"] == ()
 
 
 def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:

@@ -255,9 +255,9 @@ class ResultBuilder:
             return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
         if self.judgement.verdict != "adequate":
             return []
-        derived = bench.train.derived_names
         runs = origins(bench.train.runs)
-        return equivalents(self.vehicle, bench, possible(model, self._known, derived=derived, runs=runs))
+        listed = possible(model, self._known, runs=runs, **bench.train.not_measured)
+        return equivalents(self.vehicle, bench, listed)
 
     def _nowhere_above_noise(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners

@@ -392,6 +392,8 @@ class Measurement(Effect):
     ----------
     of_velocity_sensor : bool
         Whether only a velocity sensor can have it; it is not tried where velocities were taken from the pose.
+    by_pose : bool
+        Whether only the pose beside a velocity can show it; it is not tried where no pose was measured.
     stage : int
         Place in the chain, whatever the order in a vehicle file: 10 lever arm, 20 rotation, 30 scale,
         40 bias, 50 delay.
@@ -399,6 +401,7 @@ class Measurement(Effect):
 
     family = "measurement"
     of_velocity_sensor: ClassVar[bool] = False
+    by_pose: ClassVar[bool] = False
     stage: ClassVar[int] = 20
 
     @abc.abstractmethod

@@ -155,30 +155,42 @@ def candidates(
 
 
 def possible(
-    vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = (), runs: tuple[str, ...] = ()
+    vehicle: Vehicle,
+    known: Catalogue,
+    *,
+    derived: Collection[str] = (),
+    unchecked: Collection[str] = (),
+    runs: tuple[str, ...] = (),
 ) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it.
 
     derived: velocities that were taken from the pose. Errors of their sensors are not tried: a rate that no
     gyro measured has no scale error and no bias.
+    unchecked: velocities beside which no pose was measured. Their scale is not tried: it stands for that of
+    inertia and drag, whatever is wrong with these.
     """
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     made = (Candidate(c, vehicle, runs) for c in fitting)
-    marked = (replace(c, redundant=_of_no_sensor(c, derived)) for c in made)
+    marked = (replace(c, redundant=_of_no_sensor(c, derived, unchecked)) for c in made)
     return [c for c in marked if c.parameters or not c.redundant]
 
 
-def _of_no_sensor(candidate: Candidate, derived: Collection[str]) -> tuple[str, ...]:
-    """Parameters of a velocity sensor that change no velocity but those that none measured."""
+def _of_no_sensor(
+    candidate: Candidate, derived: Collection[str], unchecked: Collection[str]
+) -> tuple[str, ...]:
+    """Parameters of a velocity sensor that change no velocity but those that none measured or can show it."""
     effect = candidate.effect
-    if not (derived and issubclass(effect, Measurement) and effect.of_velocity_sensor):
+    if not (issubclass(effect, Measurement) and effect.of_velocity_sensor):
+        return ()
+    out = {*derived, *(unchecked if effect.by_pose else ())}
+    if not out:
         return ()
     vehicle = candidate.vehicle
     rows = sm.Matrix.hstack(
         vehicle.composition.reported[1], vehicle.composition.report_age[-len(vehicle.velocity_names) :, :]
     )
-    measured = [i for i, name in enumerate(vehicle.velocity_names) if name not in derived]
+    measured = [i for i, name in enumerate(vehicle.velocity_names) if name not in out]
     felt = {str(x) for i in measured for entry in rows[i, :] for x in entry.free_symbols}
     return tuple(p.name for p in candidate.parameters if p.name not in felt)
 

@@ -77,8 +77,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
     runs = origins(bench.train.runs)
     listed = [
-        without_redundant(c, bench)
-        for c in possible(vehicle, known, derived=bench.train.derived_names, runs=runs)
+        without_redundant(c, bench) for c in possible(vehicle, known, runs=runs, **bench.train.not_measured)
     ]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))

@@ -14,6 +14,7 @@ class SensorScale(Measurement):
 
     id = "sensor_scale"
     of_velocity_sensor = True
+    by_pose = True
     reference = (
         "scale factor error; a Doppler log's speed is proportional to the speed of sound assumed in it"
     )
