@@ -246,6 +246,14 @@ def test_two_logs_without_a_vehicle_are_refused(case: Path, capsys: Capture) -> 
     assert "'train.csv' is a log in the place of the vehicle: the order" in line
 
 
+def test_a_vehicle_in_the_place_of_the_effect_is_named(
+    case: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refusal(["add", "usv.toml", "lift", "train.csv"], capsys, case)
+    assert "'usv.toml' is a vehicle in the place of the effect, and 'lift' an effect in the place" in line
+    assert "undertow add EFFECT VEHICLE LOG" in line
+
+
 def test_a_vehicle_file_may_have_any_name(quick: Path, capsys: Capture) -> None:
     shutil.copy("usv.toml", "usv.txt")
     assert main(["doctor", "usv.txt", "none.csv"]) == 2

@@ -57,6 +57,16 @@ def _is_log(given: str) -> bool:
     return False
 
 
+def refuse_vehicle_as_effect(effect: str, vehicle: str, known: Mapping[str, object]) -> None:
+    """Refuse a vehicle in the place of an effect, with the order of the arguments."""
+    if effect not in known and _is_vehicle(Path(effect)):
+        also = f", and '{vehicle}' an effect in the place of the vehicle" if vehicle in known else ""
+        raise UndertowError(
+            f"'{effect}' is a vehicle in the place of the effect{also}: the order is undertow add EFFECT "
+            "VEHICLE LOG"
+        )
+
+
 def _is_vehicle(path: Path) -> bool:
     from undertow.model.loading import bundled_vehicles
 

@@ -20,7 +20,7 @@ import typer
 
 from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import progress, say, section, table
-from ._logs import HoldoutOption, LogOptions, LogsArgument, say_long
+from ._logs import HoldoutOption, LogOptions, LogsArgument, refuse_vehicle_as_effect, say_long
 
 if TYPE_CHECKING:
     from undertow.codegen.manifest import Report
@@ -57,6 +57,7 @@ def add(
     from undertow.model.catalogue import lookup
 
     known = options.known
+    refuse_vehicle_as_effect(effect, vehicle, known)
     lookup(effect, known)  # before any log is read
     read = [*logs, *(holdout or []), *options.files]
     target = target_of(vehicle, out, in_place, picture, json, inputs=read)
