@@ -279,7 +279,8 @@ def _print_sizes(library: Library, asked: str | None) -> None:
     target, command = (asked, shlex.split(asked)) if asked else next(usual, ("", []))
     if not command:
         return
-    flash, stacks = sizes(library, *command)
+    with progress("compiling for the sizes", None):
+        flash, stacks = sizes(library, *command)
     section(f"Sizes by {target}, -Os")
     section("Flash", table(("module", "bytes"), ((name, str(size)) for name, size in flash.items())))
     section("Stack", table(("function", "bytes"), ((s.function, str(s.stack)) for s in stacks)))
