@@ -230,7 +230,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     section(
         f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
     )
-    more = f"{rest} more effects were tried and do not improve predictions. " if rest else ""
+    more = f"{rest} more effects were tried and rank lower. " if rest else ""
     partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
     later = len(diagnosis.effects) + len(diagnosis.helps) > 1
     beside = " Effects chosen later were fitted with those chosen earlier in the model." if later else ""
