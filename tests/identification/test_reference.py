@@ -113,6 +113,8 @@ def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
         "an error of 44 % remains; of that at most 31 % in surge can be predicted from the logged signals; "
         "the rest is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
     )
+    pinned = in_words(0.44, [noise], ["N_rdot"])
+    assert pinned.endswith("disturbance, or what drove N_rdot to a physical limit: 0.4 N rms in yaw")
     alone = in_words(0.44, [noise])
     assert alone.startswith("an error of 44 % remains; the logged signals predict no more")
 

@@ -118,8 +118,11 @@ def _seen(lags: int, time: float) -> Array:
     return np.asarray(np.exp(-apart / time) @ (weight / np.sum(weight)))
 
 
-def in_words(left: float, found: Sequence[Predictability]) -> str:
-    """How much of a residual can be predicted, as a sentence; `left` is its share of the motion."""
+def in_words(left: float, found: Sequence[Predictability], at_limit: Sequence[str] = ()) -> str:
+    """How much of a residual can be predicted, as a sentence; `left` is its share of the motion.
+
+    `at_limit`: parameters that would have gone beyond what is physical; what they stood for is in the rest.
+    """
     shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
@@ -130,4 +133,7 @@ def in_words(left: float, found: Sequence[Predictability]) -> str:
         if shares
         else f"an error of {100 * left:.0f} % remains; the logged signals predict no more of it than chance"
     )
-    return f"{head}; the rest is " + (f"disturbance: {listed(rest)}" if rest else "sensor noise")
+    if not rest:
+        return f"{head}; the rest is sensor noise"
+    why = f", or what drove {listed(at_limit)} to a physical limit" if at_limit else ""
+    return f"{head}; the rest is disturbance{why}: {listed(rest)}"
