@@ -108,7 +108,7 @@ def test_a_lag_that_the_design_does_not_bear_is_reported(here: Path, capsys: Cap
 def test_thrust_by_a_curve_is_to_be_stated_in_newtons(here: Path, capsys: Capture, words: list[str]) -> None:
     Path("lazy.toml").write_text(HEAVE + THRUSTER + 'curve = "t200-16v"\n')
     assert "thrust of f1 is not proportional to the command" in (said := refusal(words, capsys, here))
-    assert "state these thrusters with limit and lowest in N" in said
+    assert "give these thrusters a limit in N instead" in said
 
 
 # --- what design says is what gains says ----------------------------------------------------------

@@ -238,8 +238,8 @@ def in_newtons(vehicle: Vehicle) -> str:
         return ""
     return (
         f"thrust of {', '.join(t.name for t in bent)} is not proportional to the command (curve, "
-        "revolutions): laws command newtons, so in a copy of the vehicle file state these thrusters with "
-        "limit and lowest in N instead (the exported C has the inverse of a curve)"
+        "revolutions): laws command newtons, so in a copy of the vehicle file give these thrusters a limit "
+        "in N instead, that of the weaker direction (the exported C has the inverse of a curve)"
     )
 
 
