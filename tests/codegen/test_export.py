@@ -29,6 +29,7 @@ from undertow.codegen import Functions, Simulator
 from undertow.codegen.compiler import Compiler
 from undertow.codegen.library import Library
 from undertow.codegen.source import digest
+from undertow.model.effect import Curve
 from undertow.model.loading import bundled_vehicles
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
@@ -342,6 +343,15 @@ def test_a_thruster_that_moved_has_another_place_in_the_struct(tmp_path: Path) -
         "parameters added: lever_z_T1",
         "parameters removed: place_x_T1, place_y_T1",
     )
+
+
+def test_a_curve_of_thrust_comes_and_goes_as_one(tmp_path: Path) -> None:
+    before = named_vehicle("cybership2")
+    first, *others = before.thrusters
+    bent = replace(first, law=Curve.through([(-1.0, -3.0), (0.0, 0.0), (1.0, 5.0)]))
+    added, *_ = _changes(before, replace(before, thrusters=(bent, *others)), tmp_path)
+    assert added.startswith(f"parameters added: curve_{first.name}")
+    assert "curve_1_1" not in added
 
 
 def test_another_order_and_another_vehicle_are_reported(tmp_path: Path) -> None:
