@@ -126,6 +126,14 @@ def test_a_curve_is_that_of_fritsch_and_carlson() -> None:
     assert (curve.at(1000), curve.at(2000)) == (-40.0, pytest.approx(51.5)), "constant beyond the ends"
 
 
+def test_a_curve_file_may_begin_with_full_thrust_ahead(tmp_path: Path) -> None:
+    rows = [f"{p},{f}" for p, f in T200]
+    (tmp_path / "up.csv").write_text("\n".join(rows))
+    (tmp_path / "down.csv").write_text("\n".join(rows[::-1]))
+    up, down = (_load(tmp_path, f'curve = "{name}.csv"\n').laws for name in ("up", "down"))
+    assert up == down
+
+
 def test_the_inverse_gives_the_command_of_a_thrust() -> None:
     curve = Curve.through(T200)
     for thrust in (-30.0, -1.0, 2.0, 45.0):
@@ -174,7 +182,7 @@ def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
     [
         ('curve = "none.csv"\n', "cannot be read"),
         ("curve = [1.0]\n", "a polynomial curve needs a 'limit'"),
-        ('curve = "bad.csv"\n', "do not rise from row to row"),
+        ('curve = "bad.csv"\n', "neither rise nor fall from row to row"),
         (
             "thrust_per_command = 2\n" + PROPELLER,
             "states its push in several ways, propeller and thrust_per_command",

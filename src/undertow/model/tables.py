@@ -309,8 +309,11 @@ def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
     found = [(float(r[0]), float(r[1])) for r in rows if len(r) > 1 and _is_number(r[0]) and _is_number(r[1])]
     if len(found) < 2 or len(found) < len(rows) - 1 - sum(r[0].startswith("#") for r in rows):
         raise UndertowError(f"{place}: curve '{path}' needs two columns of numbers, command and thrust in N")
+    found = found[::-1] if found[-1][0] < found[0][0] else found
     if any(b[0] <= a[0] for a, b in pairwise(found)):
-        raise UndertowError(f"{place}: commands of curve '{path}' do not rise from row to row: sort them")
+        raise UndertowError(
+            f"{place}: commands of curve '{path}' neither rise nor fall from row to row: sort them"
+        )
     return _thinned(found, settings)
 
 
