@@ -13,6 +13,7 @@ from scipy.io import savemat
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
+from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
 
@@ -225,6 +226,20 @@ def test_measurements_without_a_time_of_their_length_are_named(tmp_path: Path) -
     log = read_field_log(_written(tmp_path, content))
     assert list(log.series["workspace"].columns) == ["heading"]
     assert log.notes == ("no time has as many samples as speed (61), which was left out",)
+
+
+def test_a_log_may_lack_an_optional_column(tmp_path: Path) -> None:
+    """A boat that logged its heading in some runs alone."""
+    t = 0.1 * np.arange(60)
+    path = _written(tmp_path, {"time": t, "speed": np.sin(t), "cmd": np.cos(t)})
+    columns = {"workspace.speed": {"channel": "u"}, "workspace.cmd": {"channel": "port"}}
+    heading = {"workspace.heading": {"channel": "psi", "optional": True}}
+    run = read_log(path, LogMapping.model_validate({"columns": columns | heading}), ["port"])
+    assert run.has("u")
+    assert not run.has("psi")
+    needed = LogMapping.model_validate({"columns": {"workspace.heading": {"channel": "psi"}}})
+    with pytest.raises(UndertowError, match=r"no 'workspace.heading'.*optional = true in the mapping file"):
+        read_log(path, needed)
 
 
 def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:

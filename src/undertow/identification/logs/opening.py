@@ -291,9 +291,19 @@ def opened_field_log(
     if mapping is None:
         _refuse_other_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
-    table = log.table(columns_read(meaning), (low, high))
+    table = log.table(columns_read(_without_lacking(log, meaning, commands)), (low, high))
     said = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
     return Opened(table, meaning, log.sha256, said)
+
+
+def _without_lacking(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> LogMapping:
+    """The mapping without optional columns that a log does not have; no command is optional."""
+    kept = {
+        name: column
+        for name, column in meaning.columns.items()
+        if not column.optional or column.channel in commands or log.has(name)
+    }
+    return meaning.model_copy(update={"columns": kept})
 
 
 def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHOLE) -> Opened:

@@ -205,6 +205,10 @@ class FieldLog:
                 number[place[(t >= first) & (t <= last)]] = k + 1
         return {STRETCH: number} if self.intervals else {}
 
+    def has(self, name: str) -> bool:
+        """Whether it has a column of this name, which joins those of a series and of its column."""
+        return any(name == f"{s.name}.{column}" for s in self.series.values() for column in s.columns)
+
     def _found(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
         for series in self.series:  # either may have points in it
@@ -213,7 +217,7 @@ class FieldLog:
         known = [f"{s.name}.{column}" for s in self.series.values() for column in s.columns]
         raise UndertowError(
             f"log {self.path} has no {name!r}{nearest(name, known)}: undertow import {self.path} --list "
-            "shows what it has"
+            "shows what it has; optional = true in the mapping file leaves it out of logs that lack it"
         )
 
     def drive(self) -> tuple[Array, Array] | None:
