@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,16 @@ def test_a_pose_of_few_digits_that_mostly_rests_has_the_noise_of_its_digits() ->
     assert found.noise == pytest.approx(digit / np.sqrt(12), rel=0.3)
     true = np.where(t > 900, np.cos((t - 900) / 30), 0.0)
     assert np.sqrt(np.mean((found.rate - true)[950:] ** 2)) < 0.02
+
+
+def test_velocities_that_no_log_has_are_derived_in_the_model_too() -> None:
+    t, vehicle = np.arange(3.0), load_vehicle("otter")
+    measured = Run("measured", t, dict.fromkeys(("psi", "u", "v", "r"), t))
+    pose = Run("pose", t, dict.fromkeys(("x", "y", "psi", "r"), t))
+    derived = replace(measured, derived=frozenset({"u", "v"}))
+    assert as_reported(vehicle, [measured]).derived_velocities == ()
+    assert as_reported(vehicle, [pose, derived]).derived_velocities == ("u", "v")
+    assert as_reported(vehicle, [pose, measured]).derived_velocities == ()
 
 
 def _waves(t, parts):

@@ -20,7 +20,7 @@ from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Actuation, Effect, Measurement, Surface, kinds_of
-from undertow.model.symbols import DOFS, Signals, signals, symbol
+from undertow.model.symbols import DOFS, POSE, Signals, pose_jacobian, signals, symbol
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
 Array = NDArray[np.float64]
@@ -376,6 +376,39 @@ def test_a_compass_turns_a_velocity_that_was_logged_along_the_earth() -> None:
     np.testing.assert_allclose(given, [numbers[n] for n in ("u", "v", "r")])
     (u, v, r), (cos, sin) = given, (np.cos(0.3), np.sin(0.3))
     np.testing.assert_allclose(turned, [cos * u + sin * v, cos * v - sin * u, r])
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("position_lever_arm", {"x_fix": 1.5, "y_fix": -0.2, "z_fix": -0.8}),
+        ("attitude_bias", {"b_phi": 0.02, "b_theta": -0.03, "b_psi": 0.3}),
+        ("velocity_lever_arm", {"x_s": 0.4, "y_s": 0.1, "z_s": -0.2}),
+        ("sensor_bias", {"b_u": 0.1, "b_r": -0.03}),
+    ],
+)
+def test_a_velocity_that_was_derived_has_the_errors_of_the_pose_and_no_others(
+    effect: str, values: dict[str, float]
+) -> None:
+    numbers = motion(14)
+    derived = replace(craft(DOFS, values, effect), derived_velocities=("u", "v", "w", "p", "q", "r"))
+    eta, nu = true(numbers)
+    rate = stated(sm.Matrix(derived.composition.pose_rate), numbers)
+    step = 1e-6
+    ahead, back = (
+        stated(
+            derived.composition.reported[0], numbers | dict(zip(POSE, eta + h * rate, strict=True)) | values
+        )
+        for h in (step, -step)
+    )
+    there = stated(derived.composition.reported[0], numbers | values)
+    J = stated(pose_jacobian(sm.Matrix(there)), {}).reshape(6, 6)
+    expected = np.linalg.solve(J, (ahead - back) / (2 * step))
+    found = stated(derived.composition.reported[1], numbers | values)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
+    if effect in ("velocity_lever_arm", "sensor_bias"):
+        np.testing.assert_allclose(found, nu)
+        assert not set(values) & set(derived.parameter_names)
 
 
 def test_an_antenna_swings_about_the_origin() -> None:

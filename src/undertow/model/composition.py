@@ -23,6 +23,7 @@ from .symbols import (
     VELOCITY_UNITS,
     Signals,
     column,
+    euler_rates,
     pose_jacobian,
     rotation,
     signal_units,
@@ -75,7 +76,8 @@ class Composition:
 
     `dofs`: degrees of freedom, indices among the six; `thrusters`, `surfaces`: names of the actuators;
     `inputs`: names of logged quantities that are inputs; `velocity_along_earth`: whether the velocity that is
-    reported was turned from the axes of the earth into those of the body by the attitude that is reported.
+    reported was turned from the axes of the earth into those of the body by the attitude that is reported;
+    `derived`: velocities, indices among the six, that were derived from the pose that is reported.
     """
 
     def __init__(
@@ -89,11 +91,12 @@ class Composition:
         inputs: tuple[str, ...] = (),
         *,
         velocity_along_earth: bool = False,
+        derived: tuple[int, ...] = (),
     ) -> None:
         self.effects, self.dofs, self.thrusters, self.forces = effects, dofs, thrusters, forces
         self.split = dict(split)
         self.surfaces, self.inputs = surfaces, inputs
-        self.velocity_along_earth = velocity_along_earth
+        self.velocity_along_earth, self.derived = velocity_along_earth, derived
         self.signals: Signals = signals(thrusters, surfaces)
 
     # --- symbols of the chosen degrees of freedom --------------------------------------------
@@ -279,7 +282,20 @@ class Composition:
         if self.velocity_along_earth and believed != true[3:, :]:
             along = rotation(true[3:, :]) * nu[:3, :]
             nu = sm.Matrix([*(rotation(believed).T * along), *nu[3:]])
+        if self.derived:
+            from_pose = self._velocity_of(sm.Matrix([*eta[:3], *believed]))
+            nu = sm.Matrix([(from_pose if i in self.derived else nu)[i] for i in range(6)])
         return self._rows(eta).xreplace(self.locked), self._rows(nu).xreplace(self.locked)
+
+    def _velocity_of(self, eta: sm.Matrix) -> sm.Matrix:
+        """Body velocity whose pose is one that is reported, shape (6, 1): what is derived from it."""
+        true = self.signals
+        if eta == true.eta:
+            return true.nu
+        rate = eta.jacobian(true.eta) * pose_jacobian(true.eta) * true.nu
+        attitude = eta[3:, :]
+        turning = true.nu[3:, :] if attitude == true.eta[3:, :] else euler_rates(attitude).inv() * rate[3:, :]
+        return sm.Matrix([*(rotation(attitude).T * rate[:3, :]), *turning])
 
     @cached_property
     def report_age(self) -> sm.Matrix:

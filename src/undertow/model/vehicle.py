@@ -111,6 +111,9 @@ class Vehicle:
     velocity_along_earth : bool
         Whether the logged body velocity was reported along earth axes and rotated by the reported attitude,
         so that an attitude error rotates the velocity, too.
+    derived_velocities : tuple of str
+        Velocities that were not measured but derived from the reported pose, so that its errors are in them
+        and those of velocity sensors are not.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Vehicle:
     fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)
     follows: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     velocity_along_earth: bool = False
+    derived_velocities: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         parts = {
@@ -301,6 +305,7 @@ class Vehicle:
             tuple(s.name for s in self.surfaces),
             tuple(self.inputs),
             velocity_along_earth=self.velocity_along_earth,
+            derived=tuple(VELOCITY.index(n) for n in self.derived_velocities),
         )
 
     @cached_property

@@ -387,9 +387,13 @@ def _cut(intervals: list[Interval], length: int) -> list[Interval]:
 
 
 def as_reported(vehicle: Vehicle, runs: Sequence[Run]) -> Vehicle:
-    """The vehicle with its velocity reported along the earth, where all logs have it so."""
+    """The vehicle whose velocities are reported along the earth, or derived from the pose, as in all logs."""
     along = bool(runs) and all(r.mapping is not None and r.mapping.frames.velocity != "body" for r in runs)
-    return replace(vehicle, velocity_along_earth=along) if along != vehicle.velocity_along_earth else vehicle
+    lacking = (n for n in vehicle.velocity_names if all(n in r.derived or not r.has(n) for r in runs))
+    derived = tuple(lacking) if runs else ()
+    if (along, derived) == (vehicle.velocity_along_earth, vehicle.derived_velocities):
+        return vehicle
+    return replace(vehicle, velocity_along_earth=along, derived_velocities=derived)
 
 
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
