@@ -371,6 +371,7 @@ class Grading:
         """What does as well in place of an established effect; series that approximate it come first."""
         doubts = dict(self._doubts)
         others = [f for f in self._found.values() if f is not chosen and self._is_enough(f)]
+        others += self._no_worse_by_residual(chosen)
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
         in_part = self._in_its_place(chosen, (f for f in self._round.findings if f.id not in plain))
         replaced = {f.id for f in in_part}
@@ -384,19 +385,36 @@ class Grading:
         alike = alternatives(chosen, self.worth[chosen.id], rivals, self._beside, self._settings)
         return [*series, *alike]
 
+    def _no_worse_by_residual(self, chosen: FoundEffect) -> list[FoundEffect]:
+        """Effects that leave no more of the residual than the chosen one, although it may be by chance.
+
+        That something is missing is established by the chosen one; what does as well may be what is missing.
+        """
+        error = chosen.trial.score.error
+        others = [f for f in self._round.findings if f.id not in self._found and f.trial.score.error <= error]
+        others = sorted(others, key=lambda f: f.trial.score.error)[: self._settings.rivals]
+        least = self._settings.worth
+        return self._improving(others, lambda worth: worth.something(least) and not worth.worse)
+
+    def _improving(
+        self, findings: Sequence[FoundEffect], enough: Callable[[Worth], bool]
+    ) -> list[FoundEffect]:
+        """Those that improve predictions enough; what they predict is in `_ahead` from then on."""
+        found = []
+        for f, squares in zip(findings, self._predicted([f.trial.fit for f in findings]), strict=True):
+            if enough(self._gained([f], self._before, squares)):
+                self._ahead[f.id] = squares
+                found.append(f)
+        return found
+
     def _in_its_place(self, chosen: FoundEffect, candidates: Iterable[FoundEffect]) -> list[FoundEffect]:
         """Effects that improve predictions with only those terms that reproduce the chosen one's force.
 
         Their predictions replace those with all terms.
         """
         tried = (in_its_place(f, chosen, self._bench) for f in candidates)
-        found = [f for f in tried if f is not None]
-        worthy = []
-        for f, squares in zip(found, self._predicted([f.trial.fit for f in found]), strict=True):
-            if self._gained([f], self._before, squares).enough(self._settings.worth):
-                self._ahead[f.id] = squares
-                worthy.append(f)
-        return worthy
+        least = self._settings.worth
+        return self._improving([f for f in tried if f is not None], lambda worth: worth.enough(least))
 
     def _as_good_where_it_acts(self, finding: FoundEffect, chosen: FoundEffect) -> bool:
         """Whether an effect predicts the motions that it explains no worse than the chosen one.
