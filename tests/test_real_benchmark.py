@@ -32,6 +32,8 @@ from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
 
+DATA = ROOT.parent / "shared" / "data"
+
 pytestmark = pytest.mark.docs
 
 STEP, SAMPLES, STILL = 0.05, 500, 40
@@ -360,3 +362,14 @@ def test_a_term_that_is_taken_out_is_measured() -> None:
     assert found["answer"]["ranking"]
     assert all(len(e) == 3 for e in found["errors"].values())
     assert found["errors"]["true"][-1] < found["errors"]["refitted"][-1]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real logs: ../shared/data is absent")
+def test_a_compass_error_in_a_real_log_is_never_called_something_else_alone() -> None:
+    """Turned by its compass, the model ship seems to be pushed aside by its propellers."""
+    case = Case("cse1-joystick", "compass", 0.35)
+    answer = worker(SETS, DATA)(case)["answer"]
+    assert answer["named"] == [] or "attitude_bias" in {
+        e for s in [answer["named"], *answer["sets"]] for e in s
+    }

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
+from undertow.identification.api import diagnose
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.pose_velocity import as_reported, track, velocities_from_pose
 from undertow.identification.logs.reading import read_log
@@ -49,6 +52,18 @@ def test_velocities_that_no_log_has_are_derived_in_the_model_too() -> None:
     assert as_reported(vehicle, [measured]).derived_velocities == ()
     assert as_reported(vehicle, [pose, derived]).derived_velocities == ("u", "v")
     assert as_reported(vehicle, [pose, measured]).derived_velocities == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("vessel", "effect"), [("usv", "attitude_bias"), ("catamaran", "position_lever_arm")]
+)
+def test_an_error_of_the_pose_is_not_called_one_of_a_velocity_sensor_that_is_not_there(
+    vessel: str, effect: str
+) -> None:
+    case = make_case(vessel, (effect,), 7100003, strength=1.0, noise=1.0, duration=100.0)
+    runs = [run.without({"u", "v", "r"}) for run in runs_of(case)]
+    assert diagnose(vehicle_of(case), runs[:-1], runs[-1:]).diagnosis.effects == [effect]
 
 
 def _waves(t, parts):
