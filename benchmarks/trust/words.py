@@ -71,12 +71,13 @@ DEFINITIONS = """\
     python -m benchmarks.trust run --out fourth.jsonl --seed 281129
     python -m benchmarks.trust report *.jsonl --out docs/trust.md --summary docs/results.md
 
-Each seed was used once: 81 cases are of the seed 281126, answered by the program of commit 9c095f11, 44 of
-the seed 281127, answered by d0c684c7, 32 of the seed 281128, answered by c27ad69b (the first 29) and
-737a281a, and 40 of the seed 281129, answered by f72b36d3. The runs were stopped after a given time; the plan mixes all kinds of cases evenly, so that its
-beginning is a fair sample. The diagnosis was changed after the first seed because of its failures, and after
-the first 29 cases of the third because of a complete model with white forces that was left `unexplained`; all
-stay in the table as they were answered.
+Each seed was used once: 81 cases are of the seed 281126, answered by the program of commit 9c095f11, 44
+of the seed 281127, answered by d0c684c7, 32 of the seed 281128, answered by c27ad69b (the first 29) and
+737a281a, and 40 of the seed 281129, answered by f72b36d3. The runs were stopped after a given time; the
+plan mixes all kinds of cases evenly, so that its beginning is a fair sample. The diagnosis was changed
+after the first seed because of its failures, and after the first 29 cases of the third because of a
+complete model with white forces that was left `unexplained`; all stay in the table as they were
+answered.
 
 Cases that ran in parallel had one core each, on a slow machine with other work on it; those that ran alone
 had two, and the goal for six degrees of freedom applies to these.
