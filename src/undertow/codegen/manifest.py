@@ -171,13 +171,13 @@ def _names(entries: Iterable[Entry]) -> tuple[str, ...]:
 
 def _membership(what: str, old: tuple[str, ...], new: tuple[str, ...]) -> list[str]:
     added, removed = [n for n in new if n not in old], [n for n in old if n not in new]
-    lines = [f"{what} added: {', '.join(_told(added))}"] if added else []
-    lines += [f"{what} removed: {', '.join(_told(removed))}"] if removed else []
+    lines = [f"{what} added: {', '.join(_without_points(added))}"] if added else []
+    lines += [f"{what} removed: {', '.join(_without_points(removed))}"] if removed else []
     moved = not lines and old != new
     return [f"{what} in another order"] if moved else lines
 
 
-def _told(names: list[str]) -> list[str]:
+def _without_points(names: list[str]) -> list[str]:
     """The names without the dozens of numbers of a thrust curve that has come or gone as a whole."""
     found = [(n, re.fullmatch(r"curve_(?:begin|end_\d+|\d+_\d+)_(.+)", n)) for n in names]
     return [n for n, part in found if part is None or f"curve_{part[1]}" not in names]

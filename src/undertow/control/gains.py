@@ -21,7 +21,7 @@ from undertow.model.units import si_of
 from undertow.model.vehicle import Vehicle
 
 from .laws import LAWS, GainMatrix, Law, LawSignals
-from .plant import WITH_MOTION, Plant, in_newtons
+from .plant import WITH_MOTION, Plant, remedy_for_curves
 
 Coordinate = Literal[POSE]  # type: ignore[valid-type]
 Diagonal = dict[Coordinate, Quantity] | list[Quantity] | Quantity
@@ -242,7 +242,7 @@ def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
     if missing:
         idle = steered and not plant.speed
         remedy = "state [allocation] speed, at which surfaces steer" if idle else "add a thruster"
-        remedy = in_newtons(vehicle) or remedy
+        remedy = remedy_for_curves(vehicle) or remedy
         raise UndertowError(
             f"law '{table.law}' needs a force in {', '.join(missing)}, which no thruster of "
             f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(silent)} to do without "

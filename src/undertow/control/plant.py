@@ -231,7 +231,7 @@ def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
     return vehicle.with_effect(OceanCurrent, {"V_N": Value(north), "V_E": Value(east)})
 
 
-def in_newtons(vehicle: Vehicle) -> str:
+def remedy_for_curves(vehicle: Vehicle) -> str:
     """What to do with thrusters whose thrust is not proportional to the command; empty if there are none."""
     bent = [t for t in vehicle.thrusters if t.law is not None]
     if not bent:

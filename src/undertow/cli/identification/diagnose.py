@@ -191,8 +191,8 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
             say(f"not named: {entry.effect} {entry.not_named}")
     horizons = [share for name, share in diagnosis.last_step.ahead.items() if name != "free run"]
     if diagnosis.predictable and horizons:
-        at_limit = [p.name for p in diagnosis.parameters if p.value == 0.0 and p.prior]
-        say(f"Over the longest horizon {in_words(horizons[-1], diagnosis.predictable, at_limit)}.")
+        said = in_words(horizons[-1], diagnosis.predictable, diagnosis.stopped_at_zero)
+        say(f"Over the longest horizon {said}.")
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):

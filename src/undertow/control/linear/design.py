@@ -13,7 +13,7 @@ import tomlkit
 from undertow.codegen.functions import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
-from undertow.control.plant import in_newtons
+from undertow.control.plant import remedy_for_curves
 from undertow.errors import UndertowError, nearest
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -168,7 +168,7 @@ class _Channels:
         plant = with_forces(_ideal_plant(vehicle, trim), forces_of(vehicle))
         pushed = [name.removeprefix("force_") for name in plant.input_labels]
         if not pushed:
-            remedy = in_newtons(vehicle) or f"'{vehicle.name}' has no thruster: add one"
+            remedy = remedy_for_curves(vehicle) or f"'{vehicle.name}' has no thruster: add one"
             raise UndertowError(f"there is nothing to design: {remedy}")
         self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
         self.coordinates = [vehicle.pose_names[i] for i in self.rows]

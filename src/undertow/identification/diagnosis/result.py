@@ -341,6 +341,11 @@ class Diagnosis(ResultTable):
         return self.steps[-1].freed if self.steps else []
 
     @property
+    def stopped_at_zero(self) -> list[str]:
+        """Fitted damping and inertia, stated otherwise, that are zero: beyond it they would be unphysical."""
+        return [p.name for p in self.parameters if p.value == 0.0 and p.prior]
+
+    @property
     def last_step(self) -> Step:
         """The final model: with the named effects, or with none of those tried."""
         return [s for s in self.steps if set(s.added) <= set(self.effects)][-1]

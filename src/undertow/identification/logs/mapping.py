@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -223,6 +223,10 @@ class LogMapping(_Strict):
     held: Held = ()
     # Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).
     messages: Path | None = None
+
+    def required(self, commands: Collection[str]) -> set[str]:
+        """Names of the columns that a log must have; that of a command is never optional."""
+        return {n for n, column in self.columns.items() if not column.optional or column.channel in commands}
 
     def jumps(self, channel: str) -> bool:
         """Whether an angle may jump by a turn: psi does unless that is denied."""

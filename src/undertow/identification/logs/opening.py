@@ -297,12 +297,9 @@ def opened_field_log(
 
 
 def _without_lacking(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> LogMapping:
-    """The mapping without optional columns that a log does not have; no command is optional."""
-    kept = {
-        name: column
-        for name, column in meaning.columns.items()
-        if not column.optional or column.channel in commands or log.has(name)
-    }
+    """The mapping without optional columns that a log does not have."""
+    required = meaning.required(commands)
+    kept = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
     return meaning.model_copy(update={"columns": kept})
 
 

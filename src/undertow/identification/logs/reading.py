@@ -330,8 +330,9 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
     """Say which columns are read, as what."""
     for name in mapping.time.columns:
         must_have(name, names, where, "time column")
+    required = mapping.required(commands)
     for name, column in mapping.columns.items():
-        if not column.optional or column.channel in commands:
+        if name in required:
             must_have(name, names, where, f"column for channel {column.channel!r},")
         if column.fresh is not None and name in names:
             must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")

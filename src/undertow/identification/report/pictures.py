@@ -167,15 +167,8 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
         axis = axes[0, 0]
         errors = [step.error for step in steps]
         axis.axhline(1.0, color=FLOOR, linestyle="--")
-        axis.text(
-            0.01,
-            1.02,
-            "noise floor",
-            color=FLOOR,
-            ha="left",
-            va="bottom",
-            transform=axis.get_yaxis_transform(),
-        )
+        beside = axis.get_yaxis_transform()
+        axis.text(0.01, 1.02, "noise floor", color=FLOOR, ha="left", va="bottom", transform=beside)
         axis.plot(range(len(errors)), errors, color=FAINT, zorder=1)
         colours = [BEFORE, *[AFTER] * (len(errors) - 1)]
         axis.scatter(range(len(errors)), errors, color=colours[: len(errors)], s=64, zorder=2)

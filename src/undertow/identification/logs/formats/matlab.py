@@ -34,9 +34,8 @@ class MatlabSettings:
     """Numbers that decide what of a file is read."""
 
     widest: int = 16  # columns of a matrix that are measurements of their own
-    run: float = (
-        0.5  # of the samples of the shortest clock, for a variable to be a measurement, not a setting
-    )
+    # Share of the samples of the shortest clock from which a variable is a measurement, not a setting.
+    run: float = 0.5
     # Numbers of days that are dates (datenum): from 1970 to 2100.
     dates: tuple[float, float] = (719_529.0, 767_011.0)
 
