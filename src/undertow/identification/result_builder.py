@@ -353,11 +353,12 @@ class ResultBuilder:
         trial = finding.trial
         helps = self._shown(finding) or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
         names = finding.parameters if helps and trial.kept else ()
+        fit = self.validator.judged_fit(trial.fit)
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
-            parameters=[estimate(trial.fit, n, self.vehicle) for n in names],
+            parameters=[estimate(fit, n, self.vehicle) for n in names],
             error_before=self._before,
             error_after=self._normalised(trial.fit) if helps else self._before,
             explained=max(finding.explained, 0.0),

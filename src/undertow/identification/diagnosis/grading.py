@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.typing import Array
@@ -227,7 +228,7 @@ class Grading:
     def _springs(self) -> set[str]:
         """Ids of memory effects that are springs, if another candidate does at least half as much."""
         fall = {f.id: float(np.mean([*self.worth[f.id].falls.values()])) for f in self._able}
-        springs = {f.id for f in self._able if is_spring(f)}
+        springs = {f.id for f in self._able if is_spring(self._judged_fit(f))}
         most = max((fall[i] for i in springs), default=0.0)
         enough = any(fall[i] >= self._settings.own_share * most for i in fall.keys() - springs)
         return springs if enough else set()
@@ -265,7 +266,7 @@ class Grading:
         What has run into a bound is not what it is called: to predict, too, others come first.
         """
         worthy = filter(self._is_enough, self._leading[0])
-        return sorted(worthy, key=lambda f: bool(left_open(f, f.trial.fit, self._settings)))
+        return sorted(worthy, key=lambda f: bool(self._left_open(f)))
 
     @cached_property
     def _doubtful(self) -> str:
@@ -295,9 +296,9 @@ class Grading:
         """Why an effect is not established as the cause of what it explains; empty if it is."""
         bench = self._bench
         if words := (
-            left_open(finding, finding.trial.fit, self._settings)
+            self._left_open(finding)
             or never_turned(finding, bench)
-            or no_step(finding, bench)
+            or no_step(finding, self._judged_fit(finding), bench.train)
             or self._in_place_of_inertia(finding)
             or disagreement(finding, bench, self._later)
             or self._not_by_own_variables(finding)
@@ -305,6 +306,13 @@ class Grading:
             return words
         # Last, for unlike the others it does not refute a rival of another effect.
         return by_slow_disturbance(finding, self._settings)
+
+    def _judged_fit(self, finding: FoundEffect) -> Fitted:
+        return self._validator.judged_fit(finding.trial.fit)
+
+    def _left_open(self, finding: FoundEffect) -> str:
+        """Which parameter is undetermined or impossible, in words, in the fit that predicts."""
+        return left_open(finding, self._judged_fit(finding), self._settings)
 
     def _in_place_of_inertia(self, finding: FoundEffect) -> str:
         """Which added mass an effect replaces, in words; empty if none."""

@@ -333,6 +333,11 @@ class SimulationValidator:
         fit = self._once("final", weak, lambda fit: final_fit(fit, self.train, self.test))
         return fit, self.squares(fit)
 
+    def judged_fit(self, weak: WeakFit) -> Fitted:
+        """The fit by which a model was judged: the final one if it predicted, else that of the weak form."""
+        fit: Fitted = self._known.get(("final", id(weak)), (weak, weak))[1]
+        return fit
+
     def finish(self, models: Sequence[WeakFit], done: Callable[[int, int], None]) -> None:
         """Compute `final` of models, and their predictions, on all cores; `done` is told the progress.
 
