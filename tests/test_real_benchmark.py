@@ -123,7 +123,7 @@ def test_the_effect_that_was_put_in_explains_all(name: str, ship: Vehicle, saile
         # The true motion over ground, whatever is read of it.
         moved = INJECTIONS["current"].applied(ship, [sailed], size)[1][0]
         true = moved.matrix([*ship.pose_names, *ship.velocity_names])[0]
-    assert effect in INJECTIONS[name].right(ship.degrees_of_freedom, pose_only=False)
+    assert effect in INJECTIONS[name].right(ship.degrees_of_freedom)
     late = round(size / STEP) + 1 if name == "sensor-delay" else 0
     said, measured = reported(with_effect(vehicle, effect, values), run, true)
     # A supply that droops within a step is taken at its middle.
@@ -161,7 +161,7 @@ def test_tilts_and_files_are_changed_as_they_say() -> None:
     file = INJECTIONS["righting-arm"].file
     assert file is not None
     assert file(roll, 0.4).value_of("S_z").value == pytest.approx(0.6 * roll.value_of("S_z").value)
-    assert INJECTIONS["inclinometer"].right(["roll"], pose_only=True)[0] == "attitude_bias"
+    assert INJECTIONS["inclinometer"].right(["roll"])[0] == "attitude_bias"
 
 
 def test_an_effect_goes_with_its_values_and_with_what_needs_it(ship: Vehicle) -> None:

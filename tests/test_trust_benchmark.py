@@ -97,7 +97,8 @@ def test_a_run_that_is_cut_off_is_a_balanced_sample() -> None:
     shares = Counter(case.kind for case in whole)
     begun = Counter(case.kind for case in whole[: len(whole) // 3])
     for kind, count in shares.items():
-        assert begun[kind] == pytest.approx(count / 3, abs=1.5)
+        # The hard cases, of two kinds, are in random order.
+        assert begun[kind] == pytest.approx(count / 3, abs=2.0)
     vehicles = Counter(case.vehicle for case in plan(12))
     assert set(vehicles) == set(NOMINAL)
     assert max(vehicles.values()) < 2.5 * min(vehicles.values())

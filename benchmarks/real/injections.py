@@ -29,7 +29,6 @@ class Injection:
 
     name: its name in the ids of cases.
     answers: ids of the effects of the catalogue that are right.
-    of_pose: further ones where velocities are derived from the pose, which then errs with it.
     scale: size of a log set by which sizes are multiplied; empty for rad and shares.
     sizes: small, medium and large.
     run: the log as it would have been; of a log, a size and the names of the commands.
@@ -40,7 +39,6 @@ class Injection:
     answers: tuple[str, ...]
     scale: str
     sizes: tuple[float, float, float]
-    of_pose: tuple[str, ...] = ()
     run: Callable[[Run, float, Commands], Run] | None = None
     file: Callable[[Vehicle, float], Vehicle] | None = None
 
@@ -54,11 +52,10 @@ class Injection:
         scale = scales.get(self.scale.removeprefix("1/"), 1.0)
         return size / scale if self.scale.startswith("1/") else size * scale
 
-    def right(self, motions: Sequence[str], *, pose_only: bool) -> list[str]:
+    def right(self, motions: Sequence[str]) -> list[str]:
         """All right answers for a vehicle with these degrees of freedom."""
-        own = [*self.answers, *(self.of_pose if pose_only else ())]
-        alike = (accepted(a, motions) | holding(a, motions) for a in own)
-        return [*own, *sorted(set().union(*alike) - set(own))]
+        alike = (accepted(a, motions) | holding(a, motions) for a in self.answers)
+        return [*self.answers, *sorted(set().union(*alike) - {*self.answers})]
 
     def applied(self, vehicle: Vehicle, runs: Sequence[Run], value: float) -> tuple[Vehicle, list[Run]]:
         """Vehicle and logs with the change in them."""
@@ -72,16 +69,12 @@ INJECTIONS: dict[str, Injection] = {}
 
 
 def _injected(
-    name: str,
-    *answers: str,
-    sizes: tuple[float, float, float],
-    scale: str = "",
-    of_pose: tuple[str, ...] = (),
+    name: str, *answers: str, sizes: tuple[float, float, float], scale: str = ""
 ) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
     """Decorator that puts a change of the log into `INJECTIONS`."""
 
     def enter(run: Callable[..., Run]) -> Callable[..., Run]:
-        INJECTIONS[name] = Injection(name, answers, scale, sizes, of_pose, run=run)
+        INJECTIONS[name] = Injection(name, answers, scale, sizes, run=run)
         return run
 
     return enter
@@ -122,7 +115,7 @@ def _drifting(run: Run, speed: float, *, over_ground: bool) -> Run:
     return _with(run, found)
 
 
-@_injected("compass", "attitude_bias", sizes=(0.05, 0.15, 0.35), of_pose=("velocity_misalignment",))
+@_injected("compass", "attitude_bias", sizes=(0.05, 0.15, 0.35))
 def compass(run: Run, bias: float, commands: Commands) -> Run:
     """The heading reads too much by a constant: psi + b."""
     wrapped = {"psi": _turned(run.wrapped["psi"] + bias)} if "psi" in run.wrapped else {}
@@ -135,13 +128,7 @@ def inclinometer(run: Run, bias: float, commands: Commands) -> Run:
     return _with(run, {"phi": run.channels["phi"] + bias})
 
 
-@_injected(
-    "antenna",
-    "position_lever_arm",
-    sizes=(0.05, 0.15, 0.4),
-    scale="length",
-    of_pose=("velocity_lever_arm",),
-)
+@_injected("antenna", "position_lever_arm", sizes=(0.05, 0.15, 0.4), scale="length")
 def antenna(run: Run, lever: float, commands: Commands) -> Run:
     """The position is that of a point off the origin: p + R r."""
     place = np.broadcast_to(_arm(lever), (3, len(run.t)))

@@ -62,11 +62,9 @@ def material(case: Case, logs: LogSet, data: Path) -> Material:
     if case.kind != "injection":
         return Material(vehicle, train, test)
     injection = INJECTIONS[case.change]
-    pose_only = not any(run.has(n) for run in train for n in vehicle.velocity_names)
     value = injection.value(case.size, logs.scales)
     changed, runs = injection.applied(vehicle, [*train, *test], value)
-    right = injection.right(vehicle.degrees_of_freedom, pose_only=pose_only)
-    known = len(injection.answers) + pose_only * len(injection.of_pose)
+    right, known = injection.right(vehicle.degrees_of_freedom), len(injection.answers)
     return Material(changed, runs[: len(train)], runs[len(train) :], value, tuple(right), known)
 
 

@@ -283,8 +283,7 @@ noisy channels (a lever arm with the logged yaw rate). The table counts cases (i
 adding the right effect lowers the error of the longest simulation by {100 * WORTH:g} % or more); of those
 that count, how often the effect is ranked first, and named alone or in a set of two; of all, how often a
 wrong cause, or also an effect not named for the original log, is named (of the SUB-fighter 30k the place of
-its Doppler log is documented, and counts as neither). If velocities are derived from the pose, a wrong pose
-is also a wrong velocity, and both names are right.
+its Doppler log is documented, and counts as neither).
 """
 PREDICTION = """\
 All methods are fitted to the same training runs and scored on the same windows of the same runs. In the last

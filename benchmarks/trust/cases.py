@@ -13,6 +13,7 @@ from benchmarks.hidden_effects import EFFECTS
 from benchmarks.hidden_effects.hardships import TIMES
 from benchmarks.hidden_effects.registry import NOTHING_HIDDEN
 from benchmarks.hidden_effects.vehicles import NOMINAL
+from undertow.model.catalogue import catalogue
 
 T = TypeVar("T")
 
@@ -35,7 +36,6 @@ COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
     "3 x noise": ((), 3.0, False, "plain"),
     "60-s logs": ((), 1.0, False, "60s"),
     "closed loop": ((), 1.0, True, "plain"),
-    "pose only": ((), 1.0, False, "pose-only"),
     "mass known to 5 %": ((), 1.0, False, "mass-5"),
     "one drag 2 x off": (("wrong_drag",), 1.0, False, "plain"),
     "one added mass 2 x off": (("wrong_added_mass",), 1.0, False, "plain"),
@@ -47,6 +47,7 @@ HARD: dict[str, tuple[tuple[str, ...], str]] = {
     **{f"slow forces, {n} x": ((f"slow_force_{n}",), "plain") for n in TIMES},
     "filtered records": ((), "filtered"),
     "20-min logs": ((), "20min"),
+    "pose only": ((), "pose-only"),
 }
 #: Effects that are those of the catalogue in another form: values of each run, another law, a whole term.
 OTHER_FORMS = (
@@ -56,6 +57,8 @@ OTHER_FORMS = (
 #: Effects of the catalogue. One that goes by the name of another is left out (a dead band with a jump): its
 #: equations are not those of the catalogue, so that neither that name nor `unexplained` would be wrong.
 SINGLES = tuple(name for name, effect in EFFECTS.items() if effect.catalogue == name)
+#: Those that a log of the pose alone can show: it has no velocity sensor that could err.
+_OF_NO_VELOCITY_SENSOR = tuple(n for n in SINGLES if not getattr(catalogue()[n], "of_velocity_sensor", False))
 NULLS_PER_ROUND = 2
 PAIRS_PER_ROUND = 8
 _ALIKE = ({"net_buoyancy", "constant_force"},)
@@ -164,7 +167,8 @@ def _hard(r: int, base: int) -> list[Planned]:
     """Of each hardship one complete model and one with an effect, and of each other form one."""
     found = []
     for label, (forces, variant) in HARD.items():
-        name = _turn(SINGLES, r, base, f"{label} effect")
+        names = _OF_NO_VELOCITY_SENSOR if variant == "pose-only" else SINGLES
+        name = _turn(names, r, base, f"{label} effect")
         recipes = (tuple(NOMINAL), forces), (EFFECTS[name].vehicles, (name, *forces))
         for vehicles, hidden in recipes:
             vehicle = _turn(vehicles, r, base, f"{label} {hidden} vehicle")

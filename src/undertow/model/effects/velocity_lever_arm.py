@@ -10,6 +10,7 @@ class VelocityLeverArm(Measurement):
     """The velocity sensor (DVL) sits off the body origin, so rotation contributes to its readings."""
 
     id = "velocity_lever_arm"
+    of_velocity_sensor = True
     reference = "rigid-body velocity field, v_S = v + omega x r_S; Fossen (2021), chapter 2"
     signature = "measured velocity disagrees with the position's rate in turns, by yaw rate times a length"
     stage = 10

@@ -15,6 +15,7 @@ class VelocityMisalignment(Measurement):
     """
 
     id = "velocity_misalignment"
+    of_velocity_sensor = True
     reference = "rotation of a vector between two frames, v_S = R' v; Fossen (2021), chapter 2"
     signature = "a sway velocity in proportion to the surge velocity, which the position does not confirm"
     stage = 20
