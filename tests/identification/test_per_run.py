@@ -19,6 +19,7 @@ from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import adapted, fit_weak, fit_weak_by_run
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -85,6 +86,22 @@ def test_a_current_of_its_own_is_found_for_every_run(method: str) -> None:
     value = found.vehicle.value_of("V_N")
     assert (value.value, value.per_run) == (pytest.approx(0.1 / 3, abs=0.01), True)
     assert value.sigma == pytest.approx(north.spread, rel=0.3)
+
+
+def test_segments_evaluated_at_once_are_as_one_by_one() -> None:
+    vehicle = with_effect(_vehicle(_case(3)), "radiation_memory", X_memu=-10.0, T_memory=2.0)
+    data = prepare(_dives(_case(3), {n: CURRENTS[n] for n in ("steps", "cruise")}), vehicle)
+    model = WeakModel(
+        Functions(vehicle),
+        ["N_r", "X_memu", "T_memory", *(f"{n}@{r}" for n in ("V_N", "V_E") for r in CURRENTS)],
+    )
+    p = model.started({f"V_N@{run}": north for run, (north, _) in CURRENTS.items()})
+    whole = model.linearise(data, p)
+    assert len(whole) == len(data.segments) > len(data.batches)
+    for part, segment in zip(whole, data.segments, strict=True):
+        (alone,) = model.linearise(replace(data, segments=(segment,)), p)
+        for name in ("r", "J", "start"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(alone, name), err_msg=name)
 
 
 @pytest.mark.slow

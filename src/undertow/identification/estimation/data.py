@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count
+from itertools import count, pairwise
 from math import comb
 
 import numpy as np
@@ -25,6 +25,7 @@ from .test_functions import (
     Supports,
     TestFunctions,
     boxes,
+    kink_delay,
     knot_spacing,
     meeting,
     products,
@@ -139,6 +140,8 @@ class BlockSettings:
     shortest: float = 1.0  # s
     # Bytes that the noise of as many windows as are computed at a time may take.
     bytes: int = 32_000_000
+    # Samples of several segments that are evaluated at once: with a thousand numbers each, 32 MB.
+    samples: int = 4_000
 
 
 NOISE, RATES, BLOCKS = NoiseSettings(), RateSettings(), BlockSettings()
@@ -460,6 +463,11 @@ class Segment:
         return sigma if self.doubted is None else np.where(self.doubted, NOISE.doubt, 1.0) * sigma
 
     @cached_property
+    def kink_delay(self) -> Array:
+        """How much later than at its sample a signal with a kink has to be read, (N, 1), s."""
+        return kink_delay(self.t)[:, None]
+
+    @cached_property
     def rate(self) -> Array:
         """Derivative of `measured`, shape (N, 2n), per s; smoothed as far as the noise allows."""
         return smooth_rate(self.t, self.measured)
@@ -500,6 +508,17 @@ class WeakData:
     def held(self) -> list[Array]:
         """Commands in every run, as `held_commands` gives them."""
         return held_commands(self.runs, self.commands)
+
+    @cached_property
+    def batches(self) -> list[tuple[slice, Supports]]:
+        """Neighbouring segments that are evaluated at once, and their test functions in one row."""
+        before = np.cumsum([0, *(len(s.t) for s in self.segments)])
+        edges = [0]
+        for i in range(1, len(self.segments)):
+            if before[i + 1] - before[edges[-1]] > BLOCKS.samples:
+                edges.append(i)
+        parts = [slice(i, j) for i, j in pairwise([*edges, len(self.segments)])]
+        return [(p, Supports.joined([s.functions.supports for s in self.segments[p]])) for p in parts]
 
     @cached_property
     def equation(self) -> Index:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
 
@@ -191,6 +191,14 @@ class DrivenSignal:
     slope: Array  # (N, k, n_free) its derivative
     start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log has
 
+    @classmethod
+    def joined(cls, parts: Sequence[DrivenSignal]) -> DrivenSignal:
+        """The signal along several segments, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        tables = ([getattr(p, f.name) for p in parts] for f in fields(DrivenSignal))
+        return DrivenSignal(*map(np.concatenate, tables))
+
 
 @dataclass(frozen=True)
 class Actuation(DrivenSignal):
@@ -203,6 +211,11 @@ class Actuation(DrivenSignal):
     def of(cls, now: DrivenSignal, before: DrivenSignal) -> Actuation:
         """What it is, and what it was."""
         return cls(now.value, now.slope, now.start, before)
+
+    @classmethod
+    def along_all(cls, parts: Sequence[Actuation]) -> Actuation:
+        """Actuation along several segments, one after the other."""
+        return cls.of(DrivenSignal.joined(parts), DrivenSignal.joined([p.before for p in parts]))
 
 
 class ActuatorStates:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from itertools import chain
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,7 +21,7 @@ from undertow.typing import Array, Flags, Index
 from .data import Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
 from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
-from .test_functions import Entries, kink_delay, meeting, tested
+from .test_functions import Entries, Supports, meeting, tested
 
 # --- parameters that have a value of their own in every run ---------------------------------------
 # A free parameter V_N@dive2 is the value of V_N in the run "dive2". All parameters of a model stand in one
@@ -354,6 +355,12 @@ class Linearised:
     known: int | None = None
     unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
 
+    def split(self, counts: Sequence[int]) -> list[Linearised]:
+        """Parts of so many rows."""
+        edges = np.cumsum(counts)[:-1]
+        tables = (np.split(a, edges) for a in (self.r, self.J, self.start))
+        return [Linearised(*arrays) for arrays in zip(*tables, strict=True)]
+
 
 class _At(NamedTuple):
     """The last linearisation on some data: a fit, its score and its noise need it at the same parameters."""
@@ -434,39 +441,55 @@ class WeakModel:
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
         own = [self.values.own(p, run) for run in data.runs]
         driven = self._driven(data, own)
+        along = [_Along(s, _cut(driven[s.run], s), own[s.run]) for s in data.segments]
+        if self._sensor_delay.present:
+            parts = [self._late(one, data.rows) for one in along]
+        else:
+            batches = (self._together(along[part], windows, data.rows) for part, windows in data.batches)
+            parts = list(chain.from_iterable(batches))
         found = []
-        for s in data.segments:
-            run, q = data.runs[s.run], own[s.run]
-            evaluate = partial(self._segment, actuation=_cut(driven[s.run], s), rows=data.rows, p=q)
-            part = self._sensor_delay.residual(s, q, evaluate)
-            part = replace(part, J=self.values.spread(part.J, run))
-            known = run.t[0] + self._chain.seconds_late(q)
-            found.append(_from(known, part, s, data.rows, self._points.size))
+        for one, part in zip(along, parts, strict=True):
+            run = data.runs[one.s.run]
+            spread = replace(part, J=self.values.spread(part.J, run))
+            known = run.t[0] + self._chain.seconds_late(one.p)
+            found.append(_from(known, spread, one.s, data.rows, self._points.size))
         return found
+
+    def _late(self, one: _Along, rows: tuple[int, ...]) -> Linearised:
+        def of(s: Segment) -> Linearised:
+            return self._together([one._replace(s=s)], s.functions.supports, rows)[0]
+
+        return self._sensor_delay.residual(one.s, one.p, of)
 
     def _driven(self, data: WeakData, own: list[Array]) -> list[Actuation]:
         each = zip(data.runs, data.held, own, strict=True)
         return self._chain.along_each([(r.t, u, q) for r, u, q in each])
 
-    def _segment(self, s: Segment, actuation: Actuation, rows: tuple[int, ...], p: Array) -> Linearised:
-        memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
+    def _together(
+        self, along: Sequence[_Along], windows: Supports, rows: tuple[int, ...]
+    ) -> list[Linearised]:
+        """Residual of segments at once: many are short, and a call takes as long as hundreds of samples."""
+        memories = [self._memory.along(s.t, s.measured, a.value, s.u, p) for s, a, p in along]
+        each = list(zip(along, memories, strict=True))
+        actuation, memory = Actuation.along_all([a for _, a, _ in along]), DrivenSignal.joined(memories)
+        inputs = _joined([self._inputs(s, a, m.value, p) for (s, a, p), m in each])
         entries = self._entries(inputs, actuation, memory)
         if self._points.held_depends_on_motion:
-            later = [np.vstack([a[1:], a[-1:]]) for a in (s.measured, memory.value)]
-            inputs = self._inputs(later[0], actuation, later[1], s.u, p, s.t)
-            others = self._entries(inputs, actuation, memory)
+            later = (
+                self._inputs(replace(s, measured=_next(s.measured)), a, _next(m.value), p)
+                for (s, a, p), m in each
+            )
+            others = self._entries(_joined(list(later)), actuation, memory)
             held = slice(4 * self._points.size, 5 * self._points.size)
             entries = [a.averaged(b, held) for a, b in zip(entries, others, strict=True)]
-        return self._tested(entries, s, rows)
+        whole = self._tested(entries, windows, rows)
+        return whole.split([s.functions.count * len(rows) for s, _, _ in along])
 
-    def _inputs(
-        self, measured: Array, actuation: Actuation, memory: Array, u: Array, p: Array, t: Array
-    ) -> list[Array]:
-        forces = u[:, actuation.value.shape[1] :]
+    def _inputs(self, s: Segment, actuation: Actuation, memory: Array, p: Array) -> list[Array]:
+        forces = s.u[:, actuation.value.shape[1] :]
         before = np.hstack([actuation.before.value, np.vstack([forces[:1], forces[:-1]])])
-        inverse, delay = self._points.mass_inverse(p), kink_delay(t)[:, None]
-        return [measured, actuation.value, memory, u, inverse, before, delay, p, t[:, None]]
+        inverse, t = self._points.mass_inverse(p), s.t[:, None]
+        return [s.measured, actuation.value, memory, s.u, inverse, before, s.kink_delay, p, t]
 
     def _entries(self, inputs: list[Array], actuation: Actuation, memory: DrivenSignal) -> list[Entries]:
         """The rows at the samples with their total derivatives in the free parameters and first states."""
@@ -487,7 +510,7 @@ class WeakModel:
             ]
         return entries
 
-    def _tested(self, entries: list[Entries], s: Segment, rows: tuple[int, ...]) -> Linearised:
+    def _tested(self, entries: list[Entries], windows: Supports, rows: tuple[int, ...]) -> Linearised:
         width, last = max(e.width for e in entries), 1 + len(self.values.names)
         place = np.full(2 * self._points.size, -1)
         place[list(rows)] = np.arange(len(rows))
@@ -496,7 +519,7 @@ class WeakModel:
             np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
             for e, (_, equation) in zip(entries, met, strict=True)
         ]
-        table = tested(s.functions.supports, entries, [kind for kind, _ in met], target, len(rows) * width)
+        table = tested(windows, entries, [kind for kind, _ in met], target, len(rows) * width)
         stacked = table.reshape(-1, width)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
@@ -512,7 +535,7 @@ class WeakModel:
 
     def _segment_whitening(self, s: Segment, actuation: Actuation, data: WeakData, p: Array) -> Whitening:
         memory = self._memory.along(s.t, s.measured, actuation.value, s.u, p)
-        inputs = self._inputs(s.measured, actuation, memory.value, s.u, p, s.t)
+        inputs = self._inputs(s, actuation, memory.value, p)
         function = self._points.noise
         (slope,) = at_samples(function, inputs, len(s.t))
         slopes = Entries.of(slope, function.sparsity_out(0), 0)
@@ -520,6 +543,34 @@ class WeakModel:
         noise = residual_covariance(s.functions, slopes, sigma, data.rows, data.derived, s.t)
         rows = len(data.rows)
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
+
+
+class _Along(NamedTuple):
+    """A segment, the actuation along it, and the parameters of its run."""
+
+    s: Segment
+    actuation: Actuation
+    p: Array
+
+
+def _joined(inputs: Sequence[list[Array]]) -> list[Array]:
+    """Inputs of segments one after the other; one that is the same for all samples stays so if it can."""
+    counts = [len(each[0]) for each in inputs]
+    return [_in_a_row(same, counts) for same in zip(*inputs, strict=True)]
+
+
+def _in_a_row(arrays: Sequence[Array], counts: Sequence[int]) -> Array:
+    first = arrays[0]
+    if first.ndim > 1:
+        return np.concatenate(arrays)
+    if all(a is first or np.array_equal(a, first) for a in arrays):
+        return first
+    return np.repeat(np.stack(arrays), counts, axis=0)
+
+
+def _next(values: Array) -> Array:
+    """The values at the samples after; of the last one that of itself."""
+    return np.vstack([values[1:], values[-1:]])
 
 
 def _cut(driven: Actuation, s: Segment) -> Actuation:

@@ -44,6 +44,17 @@ class Supports:
             kind[part.row, part.col - first[part.row]] = part.data
         return cls(first, samples, weights)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Supports]) -> Supports:
+        """The windows of segments of which one follows the other."""
+        if len(parts) == 1:
+            return parts[0]
+        width = max(p.weights.shape[2] for p in parts)
+        wide = [np.pad(p.weights, ((0, 0), (0, 0), (0, width - p.weights.shape[2]))) for p in parts]
+        before = np.cumsum([0, *(p.samples for p in parts)])
+        first = np.concatenate([p.first + n for p, n in zip(parts, before, strict=False)])
+        return cls(first, int(before[-1]), np.concatenate(wide, axis=1))
+
     def part(self, which: slice) -> Supports:
         """Some of the windows."""
         return Supports(self.first[which], self.samples, self.weights[:, which])
