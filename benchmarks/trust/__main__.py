@@ -100,6 +100,7 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=BASE_SEED, help="base seed (default %(default)s)")
     add("--part", default="1/1", metavar="I/N", help="every n-th case, from the i-th")
     add("--kind", action="append", help="only these kinds: complete, single, pair, uncatalogued, hard")
+    add("--label", action="append", help="only these, such as 'pose only': rows of the page")
     add("--vehicle", action="append", help="only these vehicles")
 
 
@@ -109,6 +110,7 @@ def _planned(options: argparse.Namespace) -> list[Planned]:
         c
         for c in cases
         if (not options.kind or c.kind in options.kind)
+        and (not options.label or c.label in options.label)
         and (not options.vehicle or c.vehicle in options.vehicle)
     ]
     return part(wanted, options.part)
