@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
@@ -478,8 +479,15 @@ def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     said, apart = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
     assert apart
     assert "linear_damping and quadratic_damping" in said
-    assert "standard deviations apart (these logs:" in said
+    assert re.search(r"would put .* standard deviations apart, [\d.]+ times as far as these logs do; ", said)
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
+
+
+def test_no_run_is_proposed_that_separates_less_than_the_logs_that_did_not(drag_plan: Planned) -> None:
+    logs = [_log(drag_plan.manoeuvre, 0, seed) for seed in range(5, 9)]
+    said, apart = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], logs, tries=10)
+    assert not apart
+    assert said.endswith("would put linear_damping and quadratic_damping farther apart than these logs do.")
 
 
 def test_two_effects_are_told_from_one_of_them() -> None:

@@ -540,18 +540,19 @@ def suggest(
     """
     specs = [RivalSpec(name, (values or {}).get(name, {})) for name in ids]
     plan = plan_separation(vehicle, specs, runs, PlanRequest(tries=tries), known=known).plan
-    apart = min(plan.separations, key=lambda s: s.deviations)
-    between = " and ".join(apart.pair)
-    if apart.deviations < SEPARATION.separated:
-        words = (
-            f"No manoeuvre of {plan.duration:g} s that was tried would tell {between} apart: with the best "
-            f"they differ by only {apart.deviations:.2g} standard deviations."
-        )
-        return words, False
-    now = "" if apart.deviations_now is None else f" (these logs: {_two_digits(apart.deviations_now)})"
+    # That these logs do not tell them apart is known: what counts is what the run brings.
+    apart = min(plan.separations, key=lambda s: s.deviations_then)
+    then, now, between = apart.deviations_then, apart.deviations_now or 0.0, " and ".join(apart.pair)
+    tried = f"manoeuvre of {plan.duration:g} s that was tried"
+    if then < SEPARATION.separated:
+        words = f"with the best they differ by only {then:.2g} standard deviations."
+        return f"No {tried} would tell {between} apart: {words}", False
+    if then < now:
+        return f"No {tried} would put {between} farther apart than these logs do.", False
+    farther = f", {_two_digits(then / now)} times as far as these logs do" if now else ""
     words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
-        f"{_two_digits(apart.deviations)} standard deviations apart{now}; write it with undertow plan "
+        f"{_two_digits(then)} standard deviations apart{farther}; write it with undertow plan "
         f"--goal separate --between {','.join(ids)}."
     )
     return words, True
