@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
-from undertow.identification.diagnosis.candidates import Candidate, candidates, possible
+from undertow.identification.diagnosis.candidates import Candidate, candidates, possible_in
 from undertow.identification.diagnosis.evidence import (
     Blocks,
     Chance,
@@ -297,9 +297,10 @@ def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_
         error = fit.standard_errors[name]
         assert abs(fit.values[name] - case.truth["parameters"][name]) < 4 * error, name
     assert data.derived_names == ("u", "v", "r")
-    ids = {c.id for c in candidates(model, catalogue(), derived=data.derived_names)}
-    assert ids.isdisjoint({"sensor_scale", "sensor_bias", "sensor_delay"})
-    assert "velocity_lever_arm" in ids
+    ids = {c.id for c in possible_in(data, model, catalogue())}
+    of_velocity = "sensor_scale sensor_bias sensor_delay velocity_lever_arm velocity_misalignment"
+    assert ids.isdisjoint(of_velocity.split())
+    assert {"position_lever_arm", "attitude_bias"} <= ids
 
 
 def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
@@ -317,12 +318,12 @@ def test_without_a_pose_beside_it_no_velocity_is_blamed_for_its_scale() -> None:
     case = make_case("usv", (), 22, duration=20.0)
     model, runs = vehicle_of(case), runs_of(case)
     bare = [replace(r, channels={k: v for k, v in r.channels.items() if k not in "xy"}) for r in runs]
-    missing = prepare(bare, model).not_measured
-    assert missing == {"derived": (), "unchecked": ("u", "v")}
-    listed = {c.id: {p.name for p in c.parameters} for c in possible(model, catalogue(), **missing)}
+    missing = prepare(bare, model)
+    assert (missing.derived_names, missing.unchecked_names) == ((), ("u", "v"))
+    listed = {c.id: {p.name for p in c.parameters} for c in possible_in(missing, model, catalogue())}
     assert listed["sensor_scale"] == {"scale_rate"}
     assert listed["sensor_bias"] == {"b_u", "b_v", "b_r"}
-    assert prepare(runs, model).not_measured["unchecked"] == ()
+    assert prepare(runs, model).unchecked_names == ()
 
 
 def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:

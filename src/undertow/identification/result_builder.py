@@ -13,7 +13,6 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.estimation.fitted import Fitted, notes
-from undertow.identification.estimation.residual import origins
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.identification.planning.search import suggest
 from undertow.model.catalogue import Catalogue
@@ -22,7 +21,7 @@ from undertow.typing import Array
 from undertow.version import __version__
 
 from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
-from .diagnosis.candidates import possible
+from .diagnosis.candidates import possible_in
 from .diagnosis.consistency import kept_beside, knows_time, own_variables, states_time
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_quick_to_tell, with_effects
 from .diagnosis.floors import noise_floors
@@ -255,9 +254,7 @@ class ResultBuilder:
             return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
         if self.judgement.verdict != "adequate":
             return []
-        runs = origins(bench.train.runs)
-        listed = possible(model, self._known, runs=runs, **bench.train.not_measured)
-        return equivalents(self.vehicle, bench, listed)
+        return equivalents(self.vehicle, bench, possible_in(bench.train, model, self._known))
 
     def _nowhere_above_noise(self, left: Sequence[Remaining]) -> list[str]:
         nothing_found = self._verdict.verdict == "unexplained" and not self.found.winners

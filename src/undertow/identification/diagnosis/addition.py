@@ -10,7 +10,7 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.bench import Bench, error_of, open_bench
-from undertow.identification.diagnosis.candidates import Candidate, candidates
+from undertow.identification.diagnosis.candidates import Candidate, possible_in
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import Trial, try_candidate
@@ -141,8 +141,8 @@ def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
 def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]]:
     """Effects that could be added to the model and could be identified from these logs."""
     bench = setup.bench
-    possible = candidates(bench.base.model.functions.vehicle, known, runs=origins(bench.train.runs))
-    return [c.effect for c in possible if _visible(c, screen(c, bench)[0].start)]
+    possible = possible_in(bench.train, bench.base.model.functions.vehicle, known)
+    return [c.effect for c in possible if not c.adds_nothing and _visible(c, screen(c, bench)[0].start)]
 
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:

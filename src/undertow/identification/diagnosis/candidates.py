@@ -13,7 +13,13 @@ import sympy as sm
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import stated_by_run
-from undertow.identification.estimation.residual import WeakModel, plain, run_of, with_values_by_run
+from undertow.identification.estimation.residual import (
+    WeakModel,
+    origins,
+    plain,
+    run_of,
+    with_values_by_run,
+)
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
@@ -147,11 +153,9 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
     return start * command_scale if parameter.unit == "command" else start
 
 
-def candidates(
-    vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = (), runs: tuple[str, ...] = ()
-) -> list[Candidate]:
+def candidates(vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = ()) -> list[Candidate]:
     """All effects of the catalogue that would add something to a vehicle (see `possible`)."""
-    return [c for c in possible(vehicle, known, derived=derived, runs=runs) if not c.adds_nothing]
+    return [c for c in possible(vehicle, known, derived=derived) if not c.adds_nothing]
 
 
 def possible(
@@ -174,6 +178,12 @@ def possible(
     made = (Candidate(c, vehicle, runs) for c in fitting)
     marked = (replace(c, redundant=_of_no_sensor(c, derived, unchecked)) for c in made)
     return [c for c in marked if c.parameters or not c.redundant]
+
+
+def possible_in(data: WeakData, vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
+    """The same as `possible`, for some logs."""
+    measured = {"derived": data.derived_names, "unchecked": data.unchecked_names}
+    return possible(vehicle, known, **measured, runs=origins(data.runs))
 
 
 def _of_no_sensor(

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undertow.identification.estimation.data import inverse_of
-from undertow.identification.estimation.residual import Linearised, WeakModel, origins, whitened
+from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import PRIOR_WIDTH, normal_equations, prior_cost, prior_of
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
 
 from .bench import Bench, Score, comparable_mean_squares
-from .candidates import Candidate, possible
+from .candidates import Candidate, possible_in
 from .evidence import (
     Chance,
     Comparison,
@@ -75,10 +75,7 @@ class Round:
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate in addition to a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    runs = origins(bench.train.runs)
-    listed = [
-        without_redundant(c, bench) for c in possible(vehicle, known, runs=runs, **bench.train.not_measured)
-    ]
+    listed = [without_redundant(c, bench) for c in possible_in(bench.train, vehicle, known)]
     screened = _screened(listed, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
     chance = Chance([s.linear for s in screened], bench)

@@ -497,12 +497,11 @@ class WeakData:
         return tuple(self.names[i] for i in self.derived)
 
     @property
-    def not_measured(self) -> dict[str, tuple[str, ...]]:
-        """Velocities derived from the pose, and those beside which no pose was measured (unchecked)."""
+    def unchecked_names(self) -> tuple[str, ...]:
+        """Velocities beside which no pose was measured."""
         size = len(self.names) // 2
         pairs = zip(self.names[:size], self.names[size:], strict=True)
-        alone = tuple(v for pose, v in pairs if not all(r.has(pose) for r in self.runs))
-        return {"derived": self.derived_names, "unchecked": alone}
+        return tuple(v for pose, v in pairs if not all(r.has(pose) for r in self.runs))
 
     @cached_property
     def held(self) -> list[Array]:
