@@ -21,8 +21,9 @@ The same, only for effects that the other methods can express:
 HARDER = """\
 One effect hidden in logs as hard as real ones: random forces that no model predicts, white and slow (size:
 the velocity change in 2 s, as a multiple of the sensor noise), records that were filtered before they were
-passed on (1 Hz, forward and backward), logs of 20 minutes; a current and wave phases that differ from run to
-run, a thrust loss without the share of the rotation, and vehicle files that lack a whole inertial term.
+passed on (1 Hz, forward and backward), logs of 20 minutes, and of the pose alone; a current and wave phases
+that differ from run to run, a thrust loss without the share of the rotation, and vehicle files that lack a
+whole inertial term.
 Complete models under the same conditions are in the table above.
 
 """
