@@ -549,7 +549,7 @@ def suggest(
         return f"No {tried} would tell {between} apart: {words}", False
     if then < now:
         return f"No {tried} would put {between} farther apart than these logs do.", False
-    farther = f", {_two_digits(then / now)} times as far as these logs do" if now else ""
+    farther = f", {then / now:.1f} times as far as these logs do" if now else ""
     words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
         f"{_two_digits(then)} standard deviations apart{farther}; write it with undertow plan "
