@@ -58,9 +58,9 @@ def test_friction_that_is_not_there_at_the_speeds_of_the_log_is_none(rate: float
         values={"friction_speed": 0.02, "friction_rate": rate}, model=SimpleNamespace(free=("friction_rate",))
     )
     candidate = SimpleNamespace(effect=catalogue()["dry_friction"])
-    finding = SimpleNamespace(trial=SimpleNamespace(candidate=candidate))
+    finding = SimpleNamespace(trial=SimpleNamespace(fit=fit, candidate=candidate))
     data = SimpleNamespace(names=("x", "psi", "u", "r"), segments=[SimpleNamespace(measured=motion)])
-    said = no_step(finding, fit, data)  # type: ignore[arg-type]
+    said = no_step(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]
     assert said.startswith(words)
     assert bool(said) == bool(words)
 

@@ -288,13 +288,18 @@ def _at_limit(effect: Effect, fit: Fitted) -> str:
     return ""
 
 
-def no_step(finding: FoundEffect, fit: Fitted, data: WeakData) -> str:
-    """Which smoothed step of an effect a fit makes wider than the motion, in words; empty if none.
+def no_step(finding: FoundEffect, bench: Bench) -> str:
+    """Which smoothed step of an effect is wider than the motion, in words; empty if none.
 
     Friction that is fully developed only at speeds that the logs hardly reach is ordinary damping.
     """
+    fit = finding.trial.fit
     for p in finding.trial.candidate.effect(()).parameters:
-        if p.step_width and p.name in fit.model.free and fit.values[p.name] > _most_moved(p.unit, data):
+        if (
+            p.step_width
+            and p.name in fit.model.free
+            and fit.values[p.name] > _most_moved(p.unit, bench.train)
+        ):
             return (
                 f"{p.name} = {fit.values[p.name]:.2g} {p.unit} exceeds the rms of the motion, so it is "
                 "not a step"
@@ -311,11 +316,12 @@ def _most_moved(unit: str, data: WeakData) -> float:
     return max((size for name, size in moving if MOTION_UNITS[name] == unit), default=0.0)
 
 
-def is_spring(fit: Fitted) -> bool:
+def is_spring(finding: FoundEffect) -> bool:
     """Whether a fluid memory would remove more inertia from slow motion than the added mass.
 
     A memory due to waves cannot do that, a stiffness does; drag that lags the motion can.
     """
+    fit = finding.trial.fit
     slow = added_mass_at_zero_frequency(fit.model.functions, fit.p[: fit.model.values.size])
     return slow is not None and bool(np.any(np.diag(slow) < 0.0))
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.typing import Array
@@ -228,7 +227,7 @@ class Grading:
     def _springs(self) -> set[str]:
         """Ids of memory effects that are springs, if another candidate does at least half as much."""
         fall = {f.id: float(np.mean([*self.worth[f.id].falls.values()])) for f in self._able}
-        springs = {f.id for f in self._able if is_spring(self._judged_fit(f))}
+        springs = {f.id for f in self._able if is_spring(f)}
         most = max((fall[i] for i in springs), default=0.0)
         enough = any(fall[i] >= self._settings.own_share * most for i in fall.keys() - springs)
         return springs if enough else set()
@@ -292,13 +291,16 @@ class Grading:
         doubts = {f.id: self._doubt(f) for f in asked}
         return doubts | self._dominated(doubts)
 
-    def _doubt(self, finding: FoundEffect) -> str:
-        """Why an effect is not established as the cause of what it explains; empty if it is."""
+    def _doubt(self, finding: FoundEffect, *, alternative: bool = False) -> str:
+        """Why an effect is not established as the cause of what it explains; empty if it is.
+
+        alternative: whether it is only to take the place of an established one.
+        """
         bench = self._bench
         if words := (
-            self._left_open(finding)
+            self._left_open(finding, alternative=alternative)
             or never_turned(finding, bench)
-            or no_step(finding, self._judged_fit(finding), bench.train)
+            or no_step(finding, bench)
             or self._in_place_of_inertia(finding)
             or disagreement(finding, bench, self._later)
             or self._not_by_own_variables(finding)
@@ -307,12 +309,15 @@ class Grading:
         # Last, for unlike the others it does not refute a rival of another effect.
         return by_slow_disturbance(finding, self._settings)
 
-    def _judged_fit(self, finding: FoundEffect) -> Fitted:
-        return self._validator.judged_fit(finding.trial.fit)
+    def _left_open(self, finding: FoundEffect, *, alternative: bool = False) -> str:
+        """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none.
 
-    def _left_open(self, finding: FoundEffect) -> str:
-        """Which parameter is undetermined or impossible, in words, in the fit that predicts."""
-        return left_open(finding, self._judged_fit(finding), self._settings)
+        No fit of an established effect may do so. An alternative is excluded by the fit that predicts, not by
+        a local minimum that this has left.
+        """
+        weak = finding.trial.fit
+        fits = [self._validator.judged_fit(weak), *(() if alternative else (weak,))]
+        return next(filter(None, (left_open(finding, fit, self._settings) for fit in fits)), "")
 
     def _in_place_of_inertia(self, finding: FoundEffect) -> str:
         """Which added mass an effect replaces, in words; empty if none."""
@@ -377,21 +382,26 @@ class Grading:
     # --- what does as well in its place ---------------------------------------------------------------
     def _rivals_of(self, chosen: FoundEffect) -> list[FoundEffect]:
         """What does as well in place of an established effect; series that approximate it come first."""
-        doubts = dict(self._doubts)
         others = [f for f in self._found.values() if f is not chosen and self._is_enough(f)]
         others += self._no_worse_by_residual(chosen)
+        closed = [f for f in others if f.id in self._doubts and self._closed_where_it_predicts(f)]
+        doubts = self._doubts | {f.id: self._doubt(f, alternative=True) for f in closed}
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
         in_part = self._in_its_place(chosen, (f for f in self._round.findings if f.id not in plain))
         replaced = {f.id for f in in_part}
         doubts = {i: doubt for i, doubt in doubts.items() if i not in replaced}
         others = [*(f for f in others if f.id not in replaced), *in_part]
         asked = (f for f in others if f.id not in doubts and self._as_good_where_it_acts(f, chosen))
-        doubts |= {f.id: self._doubt(f) for f in asked}
+        doubts |= {f.id: self._doubt(f, alternative=True) for f in asked}
         series = [f for f in others if _is_series_of(chosen, f)]
         standing = [f for f in others if f.id in doubts and _stands(f, doubts[f.id], self._bench)]
         rivals = [f for f in standing if f not in series]
         alike = alternatives(chosen, self.worth[chosen.id], rivals, self._beside, self._settings)
         return [*series, *alike]
+
+    def _closed_where_it_predicts(self, finding: FoundEffect) -> bool:
+        """Whether only another fit than the one that predicts leaves a parameter of an effect open."""
+        return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
     def _no_worse_by_residual(self, chosen: FoundEffect) -> list[FoundEffect]:
         """Effects that leave no more of the residual than the chosen one, although it may be by chance.

@@ -346,7 +346,7 @@ def _refitted_together(
             [effect_set, *_rivals(vehicle, effect_set, place, rounds, bench)], key=lambda c: c.score.error
         )
         # What would take more inertia from slow motion than the water has is no rival of what does not.
-        equals = [c for c in equals if not is_spring(c.findings[place].trial.fit)] or equals
+        equals = [c for c in equals if not is_spring(c.findings[place])] or equals
         # With enough parameters an effect can be bent into another: it is no rival of the plain one.
         plainest = min(len(c.findings[place].parameters) for c in equals)
         effect_set, *others = [
