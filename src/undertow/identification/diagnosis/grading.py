@@ -316,8 +316,11 @@ class Grading:
         a local minimum that this has left.
         """
         weak = finding.trial.fit
-        fits = [self._validator.judged_fit(weak), *(() if alternative else (weak,))]
-        return next(filter(None, (left_open(finding, fit, self._settings) for fit in fits)), "")
+        words = left_open(finding, self._validator.judged_fit(weak), self._settings)
+        if words or alternative:
+            return words
+        words = left_open(finding, weak, self._settings)
+        return words and f"{words} (fitted to the residual force alone)"
 
     def _in_place_of_inertia(self, finding: FoundEffect) -> str:
         """Which added mass an effect replaces, in words; empty if none."""
