@@ -16,7 +16,13 @@ from undertow.identification.diagnosis.consistency import (
     vanished_inertia,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
-from undertow.identification.diagnosis.grading import Graded, alternatives, dominated, without_inertia
+from undertow.identification.diagnosis.grading import (
+    Graded,
+    alternatives,
+    dominated,
+    open_in_a_fit,
+    without_inertia,
+)
 from undertow.identification.diagnosis.selection import Selection, merged, rivals_beside_later
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
@@ -193,6 +199,31 @@ def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said
     words = undetermined(effect, {"saturation_limit": 0.66}, {"saturation_limit": error})
     assert words.endswith(said)
     assert bool(words) is bool(said)
+
+
+@pytest.mark.parametrize(
+    ("weak", "predicts", "established", "alternative"),
+    [
+        ((0.2, 0.05), (0.2, 0.05), True, True),
+        ((0.8, 1.2), (0.2, 0.05), False, True),
+        ((0.2, 0.05), (0.8, 1.2), False, False),
+    ],
+)
+def test_an_alternative_is_excluded_only_by_the_fit_that_predicts(
+    weak: tuple[float, float], predicts: tuple[float, float], *, established: bool, alternative: bool
+) -> None:
+    """A dead band that the simulation determines, but not the residual force, may be the cause."""
+
+    def fit(value: float, error: float) -> Fitted:
+        known = {"values": {"deadband_width": value}, "standard_errors": {"deadband_width": error}}
+        model = SimpleNamespace(free=("deadband_width",))
+        return cast(Fitted, SimpleNamespace(model=model, **known))
+
+    candidate = SimpleNamespace(effect=catalogue()["thruster_deadband"])
+    trial = SimpleNamespace(candidate=candidate, fit=fit(*weak))
+    finding = cast(FoundEffect, SimpleNamespace(trial=trial))
+    assert (not open_in_a_fit(finding, fit(*predicts))) is established
+    assert (not open_in_a_fit(finding, fit(*predicts), alternative=True)) is alternative
 
 
 @pytest.mark.parametrize("name", ["X_udot", "X_udot_forward"])

@@ -280,6 +280,8 @@ def _at_limit(effect: Effect, fit: Fitted) -> str:
     there is not what it is called, even if it leaves only noise.
     """
     places = {p.name: p.unit for p in effect.parameters if p.arm_of}
+    if not places:
+        return ""
     allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
     for name, end in at_bounds(fit.model, fit.p).items():
         if plain(name) in places and abs(end) >= allowed[name]:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.typing import Array
@@ -120,6 +121,20 @@ def dominated(
         if clearly and not beside(best, f).enough(settings.worth):
             found[f.id] = f"{best.id}, also not established, predicts better, and this adds nothing to it"
     return found
+
+
+def open_in_a_fit(
+    finding: FoundEffect, predicts: Fitted, settings: Settings = DEFAULT, *, alternative: bool = False
+) -> str:
+    """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none.
+
+    No fit of an established effect may do so. An alternative to one is excluded only by the fit that
+    predicts: that of the weak form may have ended in a local minimum which this one has left.
+    """
+    if (words := left_open(finding, predicts, settings)) or alternative:
+        return words
+    words = left_open(finding, finding.trial.fit, settings)
+    return words and f"{words} (fitted to the residual force alone)"
 
 
 _NOT_BEST = "other effects are better in nearly all resamples of the logs"
@@ -310,17 +325,8 @@ class Grading:
         return by_slow_disturbance(finding, self._settings)
 
     def _left_open(self, finding: FoundEffect, *, alternative: bool = False) -> str:
-        """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none.
-
-        No fit of an established effect may do so. An alternative is excluded by the fit that predicts, not by
-        a local minimum that this has left.
-        """
-        weak = finding.trial.fit
-        words = left_open(finding, self._validator.judged_fit(weak), self._settings)
-        if words or alternative:
-            return words
-        words = left_open(finding, weak, self._settings)
-        return words and f"{words} (fitted to the residual force alone)"
+        predicts = self._validator.judged_fit(finding.trial.fit)
+        return open_in_a_fit(finding, predicts, self._settings, alternative=alternative)
 
     def _in_place_of_inertia(self, finding: FoundEffect) -> str:
         """Which added mass an effect replaces, in words; empty if none."""
