@@ -365,7 +365,7 @@ class _Examiner:
             prompt = without_latencies(self.runs, found)
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
-            self.findings.append(sensors.agreement(kinematics, prompt))
+            self.findings += sensors.agreement(kinematics, prompt)
             for one in found:
                 self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
             self.runs = prompt
