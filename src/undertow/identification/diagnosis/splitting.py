@@ -129,11 +129,12 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
 
 def _pieces(run: Run, settings: Settings) -> list[Run]:
     count = settings.pieces
-    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / count
+    # A pause counts as no more than what is left out between pieces: a piece of nothing but it has no sample.
+    recorded = np.cumsum([0.0, *np.minimum(np.diff(run.t), settings.piece_gap)])
     # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
-    beside = 0.25 * run.step
-    edges = [start + i * length - (beside if 0 < i < count else 0.0) for i in range(count + 1)]
-    gap = min(settings.piece_gap, 0.1 * length)
+    edges = np.interp(np.linspace(0.0, recorded[-1], count + 1), recorded, run.t)
+    edges[1:-1] -= 0.25 * run.step
+    gap = min(settings.piece_gap, 0.1 * recorded[-1] / count)
     return [
         replace(
             run.slice(a, b if i == count - 1 else b - gap),

@@ -598,6 +598,8 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
         slowest = max(r.resolution for r in runs)
         why = f", since velocities were derived from the pose with a time constant of {slowest:.3g} s"
         remedy = ", or measured velocities"
+    if run.part_of:
+        remedy += ", or a run for validation, for which part of this one is set aside (--holdout)"
     return (
         f"too few samples without a gap for the {form}: the longest stretch has {longest} (of {len(run.t)} "
         f"in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): give a log with a "
