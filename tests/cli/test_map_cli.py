@@ -196,6 +196,9 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("heading.covariance_0", "", ""),
         ("heading.data", "psi", ""),
         ("body_frame.vx", "u", ""),
+        ("IMU_GYROZ", "r", ""),
+        ("GyrX", "p", ""),
+        ("imu.omegaz_rad_s", "r", "rad/s"),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -557,6 +560,19 @@ def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     guesses, _ = _guesses(tmp_path, ship, **{"yaw_rate_rps": 0.1})
     assert guesses["r"].entry["unit"] == "rad/s"
     assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
+
+
+@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_speed_mps"])
+def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_east(
+    speed: str, tmp_path: Path
+) -> None:
+    own = SHIP.format(thrust=PROPELLER.format("rev/s")).replace('"sway", ', "")
+    columns = {"x": 30.0, "y": 40.0, "heading_deg": 90.0, speed: 1.0, "wind_speed": 5.0}
+    guesses, _ = _guesses(tmp_path, own, **columns)
+    found = {channel: guess.column for channel, guess in guesses.items()}
+    assert found == {"x": "x", "y": "y", "psi": "heading_deg", "u": speed}
+    assert "read as the speed ahead" in guesses["u"].doubt
+    assert "u" not in _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)[0]
 
 
 @pytest.mark.parametrize(

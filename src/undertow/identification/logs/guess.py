@@ -113,6 +113,7 @@ def guess_table(
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
     motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
+    motion |= _speed_ahead(vehicle, [n for n in names if n.column not in dead and "u" not in motion])
     units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
@@ -258,7 +259,8 @@ def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list
 def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
     """Channels of pose and velocity that a vehicle has, and those without which axes cannot be turned."""
     turned = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
-    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned}
+    both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
+    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned, *both}
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
@@ -326,6 +328,13 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
         if channel and (channel not in found or name.rank < found[channel].rank):
             found[channel] = name
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
+
+
+def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Name]:
+    """The plainest column with a speed, of a vehicle that has surge and no sway."""
+    moves = {"surge", "sway"} & {*vehicle.degrees_of_freedom} if vehicle else set()
+    speeds = sorted((n for n in names if n.is_speed), key=lambda n: n.rank) if moves == {"surge"} else []
+    return {"u": speeds[0]} if speeds else {}
 
 
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
@@ -408,6 +417,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
             doubt += f"{' ' if doubt else ''}read as a height above a fixed level (z = -height): is it?"
     elif name.is_leftward and channel == "v":
         entry["scale"] = -1
+    elif name.is_speed and channel == "u":
+        doubt += f"{' ' if doubt else ''}read as the speed ahead: does the vehicle hardly drift or go astern?"
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)
