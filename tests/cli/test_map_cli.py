@@ -198,6 +198,8 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("body_frame.vx", "u", ""),
         ("IMU_GYROZ", "r", ""),
         ("GyrX", "p", ""),
+        ("mavlink_attitude_t.rollspeed", "p", ""),
+        ("mavlink_attitude_t.yawspeed", "r", ""),
         ("imu.omegaz_rad_s", "r", "rad/s"),
     ],
 )
@@ -281,6 +283,18 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     minutes = {"t": t, "Lat": 4854.595 + 0.001 * north, "Lon": -13036.243 + 0.001 * east}
     (reason,) = guess_table(pl.DataFrame(minutes), Path("own.csv")).ignored
     assert "degrees and minutes" in reason
+
+
+def test_latitude_and_longitude_may_count_sevenths_of_degrees(tmp_path: Path) -> None:
+    """Whole numbers of 1e-7 degrees, as MAVLink counts."""
+    t = np.arange(0.0, 60.0, 0.5)
+    north = 30.0 * np.sin(0.1 * t)
+    table = {"t": t, "msg.lat": np.round(1e7 * (39.94 + north / 111_030)), "msg.lon": -752000000.0 + 0 * t}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    (tmp_path / "log.toml").write_text(guess_mapping(tmp_path / "own.csv").text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.03)
+    np.testing.assert_allclose(run.channels["y"], 0.0, atol=0.03)
 
 
 @pytest.mark.parametrize(
@@ -562,7 +576,7 @@ def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
 
 
-@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_speed_mps"])
+@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_groundspeed_mps"])
 def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_east(
     speed: str, tmp_path: Path
 ) -> None:

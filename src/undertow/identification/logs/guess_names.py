@@ -146,10 +146,13 @@ def _with_dots(words: Sequence[str]) -> list[str]:
     return [w for part in split for w in part]
 
 
-def _with_axes_apart(words: Sequence[str]) -> list[str]:
-    """The words, with the axis of a vector by itself: "gyroz" as "gyro", "z"."""
-    parts = ((m[1], m[2]) if (m := re.fullmatch("(gyro?|omega|vel|pos)([xyz])", w)) else (w,) for w in words)
-    return [w for part in parts for w in part]
+_RUN_TOGETHER = "(gyro?|omega|vel|pos)([xyz])|(roll|pitch|yaw)(speed|rate)|(ground)(speed)"
+
+
+def _apart(words: Sequence[str]) -> list[str]:
+    """The words, those of two taken apart: "gyroz" as "gyro", "z", and "yawspeed" of MAVLink."""
+    found = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
+    return [part for w, m in found for part in (filter(None, m.groups()) if m else (w,))]
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
-        words = _with_dots(_with_axes_apart(words))
+        words = _with_dots(_apart(words))
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]) or _OF_ELSE.get(bracket[1].lower(), ""))
         for length in (2, 1):
