@@ -285,6 +285,15 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert "degrees and minutes" in reason
 
 
+def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}
+    own = {"latitude": 39.94 + 1e-5 * np.sin(t), "longitude": -75.2 + 1e-5 * np.cos(t)}
+    found = guess_table(pl.DataFrame({"t": t} | given | own), Path("own.csv"))
+    assert {g.column for g in found.columns} == {"latitude, longitude"}
+    assert not guess_table(pl.DataFrame({"t": t} | given), Path("own.csv")).columns
+
+
 def test_latitude_and_longitude_may_count_sevenths_of_degrees(tmp_path: Path) -> None:
     """Whole numbers of 1e-7 degrees, as MAVLink counts."""
     t = np.arange(0.0, 60.0, 0.5)

@@ -120,7 +120,7 @@ def guess_table(
     read = _motions(motion, names, data, flags, t)
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
-    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
+    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude([c for c in data if c not in dead])
     place = place_of(*((n, data[n]) for n in globe)) if globe else {}
     globe = globe if place else ()
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))

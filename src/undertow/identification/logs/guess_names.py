@@ -428,8 +428,12 @@ def rows_by_number(names: Iterable[str]) -> list[list[str]]:
 
 
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
-    """The first columns that are called latitude and longitude; () where one of them is missing."""
+    """The first columns that are called latitude and longitude; () where one of them is missing.
+
+    Those of a place that is given, as of an origin, are not where the vehicle is.
+    """
     known = [(column, {*Name.of(column).words}) for column in columns]
+    known = [(column, words) for column, words in known if not words & {"origin", "home", *WANTED}]
     found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
     return tuple(found) if all(found) else ()
 
