@@ -288,6 +288,7 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
 def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}
+    given |= {"lat0": 39.9 + 0 * t, "lon0": -75.2 + 0 * t}
     own = {"latitude": 39.94 + 1e-5 * np.sin(t), "longitude": -75.2 + 1e-5 * np.cos(t)}
     found = guess_table(pl.DataFrame({"t": t} | given | own), Path("own.csv"))
     assert {g.column for g in found.columns} == {"latitude, longitude"}

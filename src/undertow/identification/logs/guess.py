@@ -120,9 +120,7 @@ def guess_table(
     read = _motions(motion, names, data, flags, t)
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
-    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude([c for c in data if c not in dead])
-    place = place_of(*((n, data[n]) for n in globe)) if globe else {}
-    globe = globe if place else ()
+    globe, place = _fixes({} if {"x", "y"} & {*motion} else data, dead)
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
@@ -241,6 +239,14 @@ def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
         )
         for channel, text in entries.items()
     ]
+
+
+def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], dict[str, tuple[str, Array]]]:
+    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any."""
+    moved = latitude_and_longitude([c for c in data if c not in dead])
+    globe = moved or latitude_and_longitude(data)
+    place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
+    return globe if place else (), place
 
 
 def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
