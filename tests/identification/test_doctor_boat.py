@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from undertow.identification.doctor.kinematics import SETTINGS, Kinematics
 from undertow.identification.doctor.sensors import LATE_COURSE, sensor_fits
 from undertow.identification.findings import Finding
 from undertow.identification.logs.pose_velocity import velocities_from_pose
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import Run, with_reports
 from undertow.identification.report.pictures import rates_picture
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -106,6 +108,17 @@ def test_rates_are_drawn_where_a_slow_position_is_read_when_new(boat: Vehicle) -
     assert examined.edits
     titles = [axis.get_title(loc="left") for axis in rates_picture(examined, boat).axes]
     assert [t.split(":")[0] for t in titles] == ["as given", "mistakes corrected"] * 2
+
+
+def test_repeats_are_seen_among_the_reports_of_a_sensor_on_a_clock_of_its_own(boat: Vehicle) -> None:
+    """A receiver logged twice as often as it has a fix, among rows in which it lies on a curve."""
+    whole = _boat()
+    at = np.arange(len(whole.t)) % 2 == 0
+    reports = {n: np.where(at, np.repeat(whole.channels[n][::4], 4)[: len(at)], np.nan) for n in ("x", "y")}
+    run = with_reports(replace(whole, reported={n: at for n in reports}), reports)
+    found = [f.text for f in examine(boat, [run]).result.findings if f.id == "held_values"]
+    assert [text.split(" ")[0] for text in found] == ["x", "y"]
+    assert "every 2.0 rows (2 s)" in found[0]
 
 
 def test_what_a_log_cannot_tell_is_no_number(boat: Vehicle) -> None:
