@@ -129,12 +129,15 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
 
 def _pieces(run: Run, settings: Settings) -> list[Run]:
     count = settings.pieces
-    # A pause counts as no more than what is left out between pieces: a piece of nothing but it has no sample.
-    recorded = np.cumsum([0.0, *np.minimum(np.diff(run.t), settings.piece_gap)])
+    # A long pause counts as a small part of a piece: one that lies in a pause would have no sample.
+    steps = np.diff(run.t)
+    length = float(np.sum(np.minimum(steps, settings.piece_gap))) / count
+    longest = max(min(settings.piece_gap, 0.5 * length), 0.1 * length)
+    recorded = np.cumsum([0.0, *np.minimum(steps, longest)])
     # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
     edges = np.interp(np.linspace(0.0, recorded[-1], count + 1), recorded, run.t)
     edges[1:-1] -= 0.25 * run.step
-    gap = min(settings.piece_gap, 0.1 * recorded[-1] / count)
+    gap = min(settings.piece_gap, 0.1 * length)
     return [
         replace(
             run.slice(a, b if i == count - 1 else b - gap),
