@@ -196,6 +196,11 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("heading.covariance_0", "", ""),
         ("heading.data", "psi", ""),
         ("body_frame.vx", "u", ""),
+        ("IMU_GYROZ", "r", ""),
+        ("GyrX", "p", ""),
+        ("mavlink_attitude_t.rollspeed", "p", ""),
+        ("mavlink_attitude_t.yawspeed", "r", ""),
+        ("imu.omegaz_rad_s", "r", "rad/s"),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -278,6 +283,28 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     minutes = {"t": t, "Lat": 4854.595 + 0.001 * north, "Lon": -13036.243 + 0.001 * east}
     (reason,) = guess_table(pl.DataFrame(minutes), Path("own.csv")).ignored
     assert "degrees and minutes" in reason
+
+
+def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
+    t = np.arange(0.0, 60.0, 0.5)
+    given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}
+    given |= {"lat0": 39.9 + 0 * t, "lon0": -75.2 + 0 * t}
+    own = {"latitude": 39.94 + 1e-5 * np.sin(t), "longitude": -75.2 + 1e-5 * np.cos(t)}
+    found = guess_table(pl.DataFrame({"t": t} | given | own), Path("own.csv"))
+    assert {g.column for g in found.columns} == {"latitude, longitude"}
+    assert not guess_table(pl.DataFrame({"t": t} | given), Path("own.csv")).columns
+
+
+def test_latitude_and_longitude_may_count_sevenths_of_degrees(tmp_path: Path) -> None:
+    """Whole numbers of 1e-7 degrees, as MAVLink counts."""
+    t = np.arange(0.0, 60.0, 0.5)
+    north = 30.0 * np.sin(0.1 * t)
+    table = {"t": t, "msg.lat": np.round(1e7 * (39.94 + north / 111_030)), "msg.lon": -752000000.0 + 0 * t}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    (tmp_path / "log.toml").write_text(guess_mapping(tmp_path / "own.csv").text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.03)
+    np.testing.assert_allclose(run.channels["y"], 0.0, atol=0.03)
 
 
 @pytest.mark.parametrize(
@@ -557,6 +584,19 @@ def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     guesses, _ = _guesses(tmp_path, ship, **{"yaw_rate_rps": 0.1})
     assert guesses["r"].entry["unit"] == "rad/s"
     assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
+
+
+@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_groundspeed_mps"])
+def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_east(
+    speed: str, tmp_path: Path
+) -> None:
+    own = SHIP.format(thrust=PROPELLER.format("rev/s")).replace('"sway", ', "")
+    columns = {"x": 30.0, "y": 40.0, "heading_deg": 90.0, speed: 1.0, "wind_speed": 5.0}
+    guesses, _ = _guesses(tmp_path, own, **columns)
+    found = {channel: guess.column for channel, guess in guesses.items()}
+    assert found == {"x": "x", "y": "y", "psi": "heading_deg", "u": speed}
+    assert "read as the speed ahead" in guesses["u"].doubt
+    assert "u" not in _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)[0]
 
 
 @pytest.mark.parametrize(

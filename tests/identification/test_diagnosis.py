@@ -138,6 +138,17 @@ def test_blocks_cover_a_third_and_leave_gaps() -> None:
     assert all(later[0] - earlier[1] > 0.5 for earlier, later in pairwise(edges))
 
 
+def test_pieces_are_cut_from_what_was_recorded_and_not_from_a_pause() -> None:
+    """A logger that lost the vehicle for longer than the log lasts: no piece lies in the pause."""
+    for scale in (1.0, 0.03):
+        t = scale * np.concatenate([np.arange(0.0, 80.0, 0.5), np.arange(9240.0, 9260.0, 0.5)])
+        train, test = split_into_pieces([Run("a", t, {"u": np.sin(t)})])
+        lengths = [len(r.t) for r in [*train, *test]]
+        assert len(lengths) == 6
+        assert min(lengths) > 0.3 * max(lengths)
+        assert sum(r.t[-1] > 9240.0 * scale > r.t[0] for r in [*train, *test]) <= 1
+
+
 def test_a_run_too_short_to_be_cut_is_refused() -> None:
     t = np.arange(0.0, 0.55, 0.1)
     with pytest.raises(UndertowError, match=r"run 'a' has 6 samples, too few .* --holdout"):

@@ -20,6 +20,7 @@ from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.manoeuvres import (
+    REVERSAL,
     Design,
     MotionLimits,
     Start,
@@ -355,6 +356,14 @@ def test_every_manoeuvre_stays_within_its_limits(auv: PlanningProblem) -> None:
                 found = extremes(manoeuvre.y[0], auv.names)
                 assert all(found[what] <= bounds[what] for what in found)
     assert safe > 2 * len(auv.families)
+
+
+def test_reversals_reverse() -> None:
+    rng, share = np.random.default_rng(5), np.linspace(0.0, 1.0, 2000, endpoint=False)
+    for numbers in (np.zeros(3), *rng.uniform(size=(50, 3))):
+        wave = REVERSAL.signal(share, 60.0, numbers)
+        assert wave.max() == 1.0
+        assert wave.min() <= -0.2
 
 
 def test_motions_and_actuators_are_driven(auv: PlanningProblem) -> None:

@@ -305,7 +305,7 @@ def test_without_data_every_section_says_so() -> None:
             n: [] for n in ("ranking", "steps", "indistinguishable", "warnings", "remaining", "parameters")
         }
     )
-    page = _Page(render_report(bare))
+    page = _Page(render_report(bare, ReportData(maps=(ErrorMap(("surge",), (), np.zeros((1, 0))),))))
     assert not page.open
     assert "svg" not in page.tags
     for text in ("No error map", "No run was simulated", "No candidate was tried", "No parameter was fitted"):
@@ -377,6 +377,14 @@ def test_the_ranking_draws_intervals_where_there_are_any() -> None:
     assert [list(line.get_xdata()) for line in intervals] == [pytest.approx([26.95, 33.05])]
     assert [label.get_text() for label in axis.get_yticklabels()] == ["ocean_current", "lift"]
     assert axis.yaxis_inverted()
+
+
+def test_the_ranking_has_few_ticks_and_ends_where_its_intervals_do() -> None:
+    wide, sure = ranking([_ranked("lift", 1e5)]).axes[0], ranking([_ranked("lift", 30.0)]).axes[0]
+    assert len(wide.get_xticks()) <= 9
+    low, high = _ranked("lift", 30.0).interval
+    assert sure.get_xlim()[1] < 5 * high
+    assert sure.get_xlim()[0] > min(0.5 * low, -1.0)
 
 
 def test_the_error_map_shows_every_number_and_a_dash() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -318,3 +319,19 @@ def test_reports_that_a_delay_moves_into_a_gap_of_the_log_are_left_out(tmp_path:
     assert np.isfinite(run.channels["n"]).all()
     known = run.reported["r"]
     np.testing.assert_allclose(run.channels["r"][known], np.cos(run.t[known]), atol=1e-9)
+
+
+def test_a_stretch_too_short_for_slow_velocities_counts_reports_and_not_rows(union: list[Run]) -> None:
+    """Rows of other sensors in between make no stretch longer, and measured velocities are not derived."""
+    first = union[0].t[0]
+    with pytest.raises(UndertowError) as refused:
+        prepare([union[0].slice(first, first + 0.8)], model())
+    said = re.search(
+        r"has (\d+) \(of (\d+) in .*, and (\d+) are needed .*reported every ([\d.]+) s", str(refused.value)
+    )
+    assert said is not None
+    have, whole, needed = (int(said[i]) for i in (1, 2, 3))
+    assert have <= whole < needed
+    slowest = max(union[0].period(n) for n in model().velocity_names)
+    assert float(said[4]) == pytest.approx(slowest, rel=0.2)
+    assert "derived" not in str(refused.value)

@@ -45,6 +45,11 @@ def test_the_least_number_of_samples_is_that_of_the_method(
         Estimator(method, None).fit(VEHICLE, [first(needed)])
 
 
+def test_pieces_that_are_too_short_tell_to_give_a_run_for_validation() -> None:
+    with pytest.raises(UndertowError, match=r"longer stretch, or a run for validation, .* \(--holdout\)"):
+        Estimator("weak", None).fit(VEHICLE, [replace(first(20), part_of="whole")])
+
+
 @pytest.mark.parametrize(
     ("method", "samples", "equations"),
     [("weak", 30, 2), ("integral", 8, 3), ("instrumental", 30, 2), ("prediction-error", 4, 2)],

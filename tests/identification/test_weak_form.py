@@ -103,6 +103,14 @@ def test_a_sensor_of_few_digits_that_mostly_rests_has_the_noise_of_its_digits() 
     assert found == pytest.approx(digit / np.sqrt(12), rel=0.3)
 
 
+def test_a_position_that_mostly_rests_has_noise_on_an_uneven_clock_too() -> None:
+    """Divided differences of what rests are nothing, and not their rounding."""
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.2, 1.0, 200))
+    fix = np.where(t > 90, np.round(0.3 * (t - 90) + 0.05 * rng.standard_normal(len(t)), 2), 0.0) - 36.59428
+    assert white_noise(t, fix) == pytest.approx(0.05, rel=0.4)
+
+
 def test_noise_of_a_constant_channel_is_zero() -> None:
     assert white_noise(CLOCK, np.zeros(len(CLOCK))) == 0.0
 

@@ -129,10 +129,14 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
 
 def _pieces(run: Run, settings: Settings) -> list[Run]:
     count = settings.pieces
-    start, length = float(run.t[0]), float(run.t[-1] - run.t[0]) / count
+    # A long pause counts as a small part of a piece: one that lies in a pause would have no sample.
+    steps = np.diff(run.t)
+    length = float(np.sum(np.minimum(steps, settings.piece_gap))) / count
+    longest = max(min(settings.piece_gap, 0.5 * length), 0.1 * length)
+    recorded = np.cumsum([0.0, *np.minimum(steps, longest)])
     # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
-    beside = 0.25 * run.step
-    edges = [start + i * length - (beside if 0 < i < count else 0.0) for i in range(count + 1)]
+    edges = np.interp(np.linspace(0.0, recorded[-1], count + 1), recorded, run.t)
+    edges[1:-1] -= 0.25 * run.step
     gap = min(settings.piece_gap, 0.1 * length)
     return [
         replace(

@@ -21,7 +21,7 @@ from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Segment
 from .mistakes import Undo, they_are, with_channels
-from .sensors import Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
+from .sensors import LATE_COURSE, Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
 """Channels that one sensor reports: a position fix, a compass or gyroscope, a Doppler log, a gyroscope."""
@@ -44,7 +44,7 @@ class ClockSettings:
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
     # Standard errors by which a motion before its commands contradicts a choice of which source is late.
     acausal: float = 3.0
-    known: float = 1.0  # standard error of a delay of commands, s, from which it says nothing
+    known: float = 1.0  # standard error of a delay, s, from which it says nothing
     gained: float = 0.1  # share of the misfit that a drift of commands must explain
 
 
@@ -137,7 +137,11 @@ def _delays(
     def table(shift: Array) -> Array:
         slopes = [(left(shift + d) - left(shift - d)) / (2 * step) for d in step * np.eye(count)]
         moved = [_earlier(run, sources, shift) for run in runs]
-        others = [regressor_of(kinematics, moved, s) for s in sensors(kinematics) if s.id != "sensor_delay"]
+        others = [
+            regressor_of(kinematics, moved, s)
+            for s in sensors(kinematics)
+            if s.id not in ("sensor_delay", LATE_COURSE)
+        ]
         return np.column_stack([*slopes, *((o * weight[:, :, None]).reshape(-1, o.shape[2]) for o in others)])
 
     found = np.zeros(count)
@@ -261,7 +265,7 @@ def clock_findings(
             drifting |= {*one.names, *one.poses}
             delay = one.delay + late.get(one.names[0], 0.0) - max(late.get(n, 0.0) for n in one.poses)
             yield _two_clocks(f"{', '.join(one.names)} and the pose", how, delay, one.drift, one.drift_error)
-    steady = [one for one in found if not drifting & {*one.names}]
+    steady = [one for one in found if one.error < SETTINGS.known and not drifting & {*one.names}]
     yield from (late_source(one, mapping) for one in steady if one.clear(step))
     if steady and any(run.reported for run in runs):
         sizes = (

@@ -218,9 +218,14 @@ class _Examiner:
         """Whether rates of change mean something: units and signs are judged by them."""
         return not any(f.id == "bursts" for f in self.findings)
 
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Channels of pose and velocity of the vehicle, and those with which they are compared."""
+        vehicle = self.vehicle
+        return (*dict.fromkeys((*vehicle.pose_names, *self.kinematics.rows, *vehicle.velocity_names)),)
+
     def look_at_samples(self) -> None:
-        names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
-        self.findings += sampling(self.runs, names, self.mapping)
+        self.findings += sampling(self.runs, self._names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._write(DROP)
         self._drop_quotients()
@@ -243,8 +248,7 @@ class _Examiner:
 
     def undo_repeats(self) -> None:
         """Read sensors that are slower than the log where they are new: held values look like a delay."""
-        names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
-        held = held_channels(self.runs, names, self.mapping)
+        held = held_channels(self.runs, self._names, self.mapping)
         if held:
             self.runs = [self._rederived(run, lambda r: read_when_new(r, held)) for run in self.runs]
             self.kinematics = Kinematics(self.runs, self.vehicle)
@@ -365,7 +369,7 @@ class _Examiner:
             prompt = without_latencies(self.runs, found)
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
-            self.findings.append(sensors.agreement(kinematics, prompt))
+            self.findings += sensors.agreement(kinematics, prompt)
             for one in found:
                 self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
             self.runs = prompt

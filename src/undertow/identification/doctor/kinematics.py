@@ -31,6 +31,7 @@ class KinematicsSettings:
     widths: tuple[int, ...] = (1, 2, 4, 8)
     overlap: float = 2.0  # test functions that share the noise of a sample, about
     kept: float = 0.7  # share of the motion that wider test functions must keep
+    fewest: int = 16  # and how many of them there must be: two clusters of neighbours (`sensors.SETTINGS`)
     # Mean square by which any log may disagree: quadrature over samples is not exact.
     quadrature: float = 1e-4
     # Share of all translation or rotation (mean square) below which a block hardly moves: that a vehicle that
@@ -135,7 +136,7 @@ class Kinematics:
         reference = 0.0
         for width in SETTINGS.widths:
             wider = [s for i, run in enumerate(runs) for s in self._segments(i, run, width, len(runs))]
-            if not wider:
+            if not wider or (width > 1 and sum(len(s.length) for s in wider) < SETTINGS.fewest):
                 break
             before, self.segments = self.segments, wider
             power = float(np.mean(self.rates(runs).velocity ** 2))
@@ -263,9 +264,11 @@ def _changes(runs: Sequence[Run], name: str) -> bool:
 
 def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
     """Pose coordinates whose rate can be compared with a velocity of its own."""
-    pairs = zip(vehicle.pose_names, vehicle.velocity_names, strict=True)
+    pairs = dict(zip(vehicle.pose_names, vehicle.velocity_names, strict=True))
+    if {"u", "r"} <= {*vehicle.velocity_names}:
+        pairs = {"x": "u", "y": "u"} | pairs  # surge and a heading give both, with or without sway
     # A velocity that never changes while the pose does is compared, too: nothing was measured.
-    found = [p for p, v in pairs if _own(runs, p) and _own(runs, v) and _changes(runs, p)]
+    found = [p for p, v in pairs.items() if _own(runs, p) and _own(runs, v) and _changes(runs, p)]
     turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)
     return [n for n in found if not (turns and n in ("x", "y"))]
 

@@ -14,7 +14,7 @@ from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run, wit
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Index
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class SamplingSettings:
     on_lines: float = 0.5
     fewest: int = 20  # new samples that show it
     names: int = 5  # runs that are named where many show the same
+    multiple: float = 0.01  # distance from a whole number of steps within which a reading is coarse
     repeats: float = 0.3  # share of rows that repeat the one before, from which a channel is held or coarse
 
 
@@ -243,15 +244,25 @@ def held_channels(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapp
 
 def read_when_new(run: Run, names: Iterable[str]) -> Run:
     """A run whose channels report only where their values change, as `fresh` in a mapping file says."""
-    repeats = {n: np.diff(run.channels[n], prepend=np.nan) == 0.0 for n in names if run.has(n)}
-    reports = {n: np.where(again, np.nan, run.channels[n]) for n, again in repeats.items()}
+    reports = {}
+    for name in (n for n in names if run.has(n)):
+        there = _reports(run, name)
+        new = there[np.diff(run.channels[name][there], prepend=np.nan) != 0.0]
+        reports[name] = np.full(len(run.t), np.nan)
+        reports[name][new] = run.channels[name][new]
     reported = {**run.reported, **{n: np.isfinite(values) for n, values in reports.items()}}
     return with_report_noise(with_reports(replace(run, reported=reported), reports))
 
 
+def _reports(run: Run, name: str) -> Index:
+    """Rows in which a channel was reported; in between it lies on a smooth curve."""
+    there = np.isfinite(run.channels[name])
+    return np.flatnonzero(there & run.reported.get(name, there))
+
+
 def _period(run: Run, name: str) -> tuple[float, float] | None:
     """Usual number of rows, and seconds, between changes; None where every row is new or nothing changes."""
-    there = np.flatnonzero(np.isfinite(run.channels[name]))
+    there = _reports(run, name)
     y, t = run.channels[name][there], run.t[there]
     at = np.flatnonzero(np.diff(y) != 0.0)
     if len(at) < 10:
@@ -260,8 +271,11 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     between = np.diff(at)
     usual = float(np.median(between))
     regular = float(np.mean(np.abs(between - usual) <= np.maximum(1.0, 0.2 * usual))) > 1 - SETTINGS.irregular
-    # Where the sensor moves by many of its steps from row to row, repeats are no coarse readings.
-    coarse = np.median(np.abs(y[at + 1] - y[at])) < 2 * np.min(np.abs(y[at + 1] - y[at]))
+    # Where the sensor moves by many of its steps from row to row, or by no whole number of them, repeats are
+    # no coarse readings.
+    moved = np.abs(y[at + 1] - y[at])
+    moved = moved / np.min(moved)
+    coarse = np.median(moved) < 2 and np.median(np.abs(moved - np.round(moved))) < SETTINGS.multiple
     if usual < SETTINGS.held or not regular or coarse:
         return None
     return usual, float(np.median(np.diff(t[at])))

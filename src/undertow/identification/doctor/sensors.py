@@ -28,6 +28,8 @@ from .mistakes import (
     with_channels,
 )
 
+LATE_COURSE = "velocities and heading late against the position"
+"""A clock, no effect: `latencies` looks for it, and other explanations have to do better."""
 _ALIKE = {
     "velocity_misalignment": ("attitude_bias",),
     "velocity_lever_arm": ("position_lever_arm",),
@@ -56,6 +58,7 @@ class SensorSettings:
     worth: float = 5e-4  # mismatch below which it is not reported
     water_worth: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
+    told: float = 0.3  # standard error from which the scale of a velocity says nothing
     rest: float = 0.05  # mismatch that is reported where nothing explains it
     still: float = (
         1e-3  # share of what the other does below which a pose rate, or a velocity, measures nothing
@@ -130,6 +133,7 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
         # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
         Sensor("sensor_scale", ("s",), _common_scale, PLAUSIBLE.scale),
         Sensor("sensor_delay", ("delay s",), _late, 3.0),
+        Sensor(LATE_COURSE, ("delay s",), _late_course),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
     if "u" in linear and "v" in linear:
@@ -166,6 +170,13 @@ def _late(at: Samples, s: Segment) -> Array:
     """Velocities of a while ago: the change of J nu is the delay times J d(nu)/dt."""
     change = np.gradient(at.velocity[:, :3], s.times, axis=0)
     return np.einsum("nij,nj->ni", at.jacobian[:, :, :3], change)[:, :, None]
+
+
+def _late_course(at: Samples, s: Segment) -> Array:
+    """Velocities and heading of a while ago, as of a receiver that smooths speed and course."""
+    moved = np.einsum("nij,nj->ni", at.jacobian[:, :3, :3], at.velocity[:, :3])
+    change = np.gradient(moved, s.times, axis=0)
+    return np.concatenate([change, np.zeros_like(change)], axis=1)[:, :, None]
 
 
 def _turned(at: Samples, _: Segment) -> Array:
@@ -472,14 +483,14 @@ def _in_water(current: Array) -> Mistake:
 def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     """Deviations of velocity sensors that explain a mismatch, and what no deviation explains."""
     rates = kinematics.rates(runs)
-    known = [s for s in sensors(kinematics) if s.id not in ("water", "sensor_delay")]
+    known = [s for s in sensors(kinematics) if s.id not in ("water", "sensor_delay", LATE_COURSE)]
     for _ in known:
         before = kinematics.of_rates(rates)
         fits = [f for s in known if (f := fit_sensor(kinematics, runs, rates, s)).plausible]
         best = min(fits, key=lambda f: f.after.total, default=None)
         if best is None or not _believed(best, before):
             break
-        yield _sensor_finding(best, before)
+        yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
         rates = _corrected(kinematics, runs, rates, best)
     left = kinematics.of_rates(rates)
     for block, excess in zip(kinematics.blocks, left.excess, strict=True):
@@ -536,13 +547,17 @@ def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: S
     return Rates(rates.pose, rates.velocity + change, rates.variance)
 
 
-def _sensor_finding(fit: SensorFit, before: Mismatch) -> Finding:
+def _sensor_finding(fit: SensorFit, before: Mismatch, *, drifts: bool) -> Finding:
+    """`drifts`: the vehicle may go sideways in turns, which nothing measured and its model leaves out."""
     names = (n.split(" ")[0] for n in fit.sensor.names)
+    turns = drifts and fit.sensor.id == "velocity_lever_arm"
+    drift = "or the vehicle drifts in turns, and has no sway in its file; " if turns else ""
+    effects = " or ".join(fit.sensor.effects)
     return Finding(
         id="velocity_sensor",
         severity="warning",
         text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as "
-        f"with {fit.description()}; undertow add {' or '.join(fit.sensor.effects)} adds it to the model",
+        f"with {fit.description()}; {drift}undertow add {effects} adds it to the model",
         evidence=dict(zip(names, fit.sensor.parameters(fit.value).tolist(), strict=True)),
     )
 
@@ -565,8 +580,8 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
 
 
 # --- agreement --------------------------------------------------------------------------------
-def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding:
-    """Scale and offset of every velocity against the rate of the pose, in numbers."""
+def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Scale and offset of every velocity against the rate of the pose, in numbers, where they can be told."""
     names = [n for n in VELOCITY if n in kinematics.channels and _shows(kinematics, n)]
     fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
     size = len(names)
@@ -574,14 +589,16 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding:
     lines = [
         f"{n} {s:.3f} ± {e:.1g}, offset {o:+.2g} {UNITS[n]}"
         for n, s, e, o in zip(names, scale, fit.error, offset, strict=False)
+        if e < SETTINGS.told
     ]
-    return Finding(
-        id="agreement",
-        severity="note",
-        text=f"pose rate over velocity: {'; '.join(lines)}",
-        evidence=dict(zip((f"scale_{n}" for n in names), scale.tolist(), strict=True))
-        | dict(zip((f"offset_{n}" for n in names), offset.tolist(), strict=True)),
-    )
+    if lines:
+        yield Finding(
+            id="agreement",
+            severity="note",
+            text=f"pose rate over velocity: {'; '.join(lines)}",
+            evidence=dict(zip((f"scale_{n}" for n in names), scale.tolist(), strict=True))
+            | dict(zip((f"offset_{n}" for n in names), offset.tolist(), strict=True)),
+        )
 
 
 def _shows(kinematics: Kinematics, velocity: str) -> bool:

@@ -605,21 +605,29 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
     step = min((r.step for r in runs if len(r.t) > 1), default=1.0)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
-    stretches = [(p.stop - p.start, r) for r in runs for p in (*r.segments([*names]), slice(0, 0))]
+    stretches = [
+        (int(np.count_nonzero((r.clock >= t[0]) & (r.clock <= t[-1]))), r)
+        for r in runs
+        for t in (*(r.t[p] for p in r.segments([*names])), np.array([np.inf]))
+    ]
     longest, run = max(stretches, key=lambda stretch: stretch[0])
-    blurred = any(
-        _spacing(r) > knot_spacing(r.clock) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1
-    )
     form = "integral form" if family is boxes else "weak form"
     why, remedy = "", ""
-    if blurred:
+    if any(_spacing(r) > knot_spacing(r.clock) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1):
         slowest = max(r.resolution for r in runs)
-        why = f", since velocities were derived from the pose with a time constant of {slowest:.3g} s"
-        remedy = ", or measured velocities"
+        late = max(r.period(n) for r in runs for n in VELOCITY if n in r.channels)
+        why = (
+            f", since velocities were derived from the pose with a time constant of {slowest:.3g} s"
+            if any(r.derived for r in runs)
+            else f", since velocities are reported every {late:.3g} s"
+        )
+        remedy = ", or measured velocities" if any(r.derived for r in runs) else ""
+    if run.part_of:
+        remedy += ", or a run for validation, for which part of this one is set aside (--holdout)"
     return (
-        f"too few samples without a gap for the {form}: the longest stretch has {longest} (of {len(run.t)} "
-        f"in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): give a log with a "
-        f"longer stretch{remedy}"
+        f"too few samples without a gap for the {form}: the longest stretch has {longest} (of "
+        f"{len(run.clock)} in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): "
+        f"give a log with a longer stretch{remedy}"
     )
 
 

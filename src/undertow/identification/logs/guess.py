@@ -113,15 +113,14 @@ def guess_table(
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
     motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
+    motion |= _speed_ahead(vehicle, [n for n in names if n.column not in dead and "u" not in motion])
     units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = _motions(motion, names, data, flags, t)
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
-    globe = () if {"x", "y"} & {*motion} else latitude_and_longitude(data)
-    place = place_of(*((n, data[n]) for n in globe)) if globe else {}
-    globe = globe if place else ()
+    globe, place = _fixes({} if {"x", "y"} & {*motion} else data, dead)
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
@@ -242,6 +241,14 @@ def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
     ]
 
 
+def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], dict[str, tuple[str, Array]]]:
+    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any."""
+    moved = latitude_and_longitude([c for c in data if c not in dead])
+    globe = moved or latitude_and_longitude(data)
+    place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
+    return globe if place else (), place
+
+
 def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
     """North and east of the first fix, from latitude and longitude."""
     asked = "x and y: metres from the first fix of this log, if these are degrees: are they?"
@@ -258,7 +265,8 @@ def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list
 def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
     """Channels of pose and velocity that a vehicle has, and those without which axes cannot be turned."""
     turned = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
-    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned}
+    both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
+    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned, *both}
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
@@ -326,6 +334,13 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
         if channel and (channel not in found or name.rank < found[channel].rank):
             found[channel] = name
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
+
+
+def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Name]:
+    """The plainest column with a speed, of a vehicle that has surge and no sway."""
+    moves = {"surge", "sway"} & {*vehicle.degrees_of_freedom} if vehicle else set()
+    speeds = sorted((n for n in names if n.is_speed), key=lambda n: n.rank) if moves == {"surge"} else []
+    return {"u": speeds[0]} if speeds else {}
 
 
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
@@ -408,6 +423,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
             doubt += f"{' ' if doubt else ''}read as a height above a fixed level (z = -height): is it?"
     elif name.is_leftward and channel == "v":
         entry["scale"] = -1
+    elif name.is_speed and channel == "u":
+        doubt += f"{' ' if doubt else ''}read as the speed ahead: does the vehicle hardly drift or go astern?"
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
     return Guess(name.column, entry, doubt)

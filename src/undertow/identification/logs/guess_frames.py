@@ -27,6 +27,7 @@ class FrameSettings:
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
     like: float = 0.9  # correlation of a rate with the change of the heading
     rounded: float = 1e-2  # how far the length of a quaternion may be from one
+    many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
     upright: float = 0.01  # mean square of a part of a quaternion that says nothing of its place
 
 
@@ -183,18 +184,21 @@ def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[s
 def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[str, tuple[str, Array]]:
     """North and east of the first fix, m, of columns in degrees: formula and values; {} where they are none.
 
-    A fix at zero and zero is that of a receiver without one.
+    A fix at zero and zero is that of a receiver without one. Whole numbers of 1e-7 degrees are those of
+    MAVLink; degrees and minutes, with or without seconds, stay far below.
     """
-    (_, lat), (_, lon) = latitude, longitude
+    units = 1e7 if np.nanmax(np.abs(latitude[1]), initial=0.0) > SETTINGS.many_units else 1.0
+    lat, lon = latitude[1] / units, longitude[1] / units
     fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
     if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
         return {}
     first = fixes[0]
     found = {}
-    for channel, (name, data), size in zip(
-        "xy", (latitude, longitude), metres_per_degree(float(lat[first])), strict=True
+    for channel, (name, _), data, size in zip(
+        "xy", (latitude, longitude), (lat, lon), metres_per_degree(float(lat[first])), strict=True
     ):
-        formula = f"({_in_formula(name)} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
+        degrees = _in_formula(name) + (" / 1e7" if units > 1.0 else "")
+        formula = f"({degrees} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
         found[channel] = formula, (data - data[first]) * size
     return found
 

@@ -54,10 +54,11 @@ _MOVES = {
 _SIDEWAYS = {
     "forward": 0, "fwd": 0, "ahead": 0, "left": 1, "port": 1, "right": 1, "starboard": 1, "stbd": 1,
 }  # fmt: skip
+_SOG = {"sog", "over", "ground"}
 _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
 _OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
-_OF_RATE = {"rate", "rates", "dot", "gyro", "angular", "omega", "angvel", "rotational"}
+_OF_RATE = {"rate", "rates", "dot", "gyr", "gyro", "angular", "omega", "angvel", "rotational"}
 _OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 WANTED = {
@@ -145,6 +146,15 @@ def _with_dots(words: Sequence[str]) -> list[str]:
     return [w for part in split for w in part]
 
 
+_RUN_TOGETHER = "(gyro?|omega|vel|pos)([xyz])|(roll|pitch|yaw)(speed|rate)|(ground)(speed)"
+
+
+def _apart(words: Sequence[str]) -> list[str]:
+    """The words, those of two taken apart: "gyroz" as "gyro", "z", and "yawspeed" of MAVLink."""
+    found = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
+    return [part for w, m in found for part in (filter(None, m.groups()) if m else (w,))]
+
+
 @dataclass(frozen=True)
 class Name:
     """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
@@ -161,7 +171,7 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
-        words = _with_dots(words)
+        words = _with_dots(_apart(words))
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]) or _OF_ELSE.get(bracket[1].lower(), ""))
         for length in (2, 1):
@@ -196,6 +206,18 @@ class Name:
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
         fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
         return found if found and (not self.unit or self.unit in fits[found]) else ""
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether it is the speed of the vehicle along no axis in particular, as that over ground."""
+        words = {*self.words}
+        along = words & {"speed", "velocity", "vel", "sog"} and not words - {
+            *_OF_SPEED,
+            *_PLAIN,
+            *_RANK,
+            *_SOG,
+        }
+        return bool(along) and self.unit in {"", *_SPEEDS}
 
     @property
     def of_header(self) -> bool:
@@ -406,8 +428,12 @@ def rows_by_number(names: Iterable[str]) -> list[list[str]]:
 
 
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
-    """The first columns that are called latitude and longitude; () where one of them is missing."""
+    """The first columns that are called latitude and longitude; () where one of them is missing.
+
+    Those of a place that is given, as of an origin, are not where the vehicle is.
+    """
     known = [(column, {*Name.of(column).words}) for column in columns]
+    known = [(column, words) for column, words in known if not words & {"origin", "home", *WANTED}]
     found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
     return tuple(found) if all(found) else ()
 

@@ -247,7 +247,7 @@ def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
     largest = max((float(np.nanmax(np.abs(run.channels[name]), initial=0.0)) for name in plain), default=0.0)
     columns = run.mapping.columns.values() if run.mapping is not None else ()
     stated = any(column.channel in plain and column.unit for column in columns)
-    is_share = largest <= 1.0 if run.reader_notes else largest == 1.0 and not stated
+    is_share = 0.0 < largest <= 1.0 if run.reader_notes else largest == 1.0 and not stated
     if not plain or not is_share:
         return run
     if_newtons = (

@@ -25,6 +25,7 @@ class ManoeuvreSettings:
     levels: int = 8  # of steps
     bits: int = 24  # of random binary steps
     pulses: int = 3  # before coast-downs
+    astern: float = 0.2  # least size of a reversal, of that ahead
     # Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
     fastest: float = 1.0
     ends: float = 2.0  # length of the smooth beginning and end, s
@@ -90,10 +91,10 @@ def _chirp(share: Array, length: float, q: Array) -> Array:
 
 
 def _reversal(share: Array, length: float, q: Array) -> Array:
-    """Ahead and astern in turn, the two with their own size."""
+    """Ahead and astern in turn, the two with their own size: with nothing astern it would be no reversal."""
     periods = 1 + np.floor(5.99 * q[0])
     ahead = (share * periods) % 1.0 < 0.3 + 0.4 * q[1]
-    return np.where(ahead, 1.0, -q[2])
+    return np.where(ahead, 1.0, -(SETTINGS.astern + (1 - SETTINGS.astern) * q[2]))
 
 
 def _coast(share: Array, length: float, q: Array) -> Array:

@@ -182,11 +182,9 @@ def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> li
 
 def comparison_pictures(comparison: Comparison) -> dict[str, Figure]:
     """All pictures of one model on its logs, by a name that a file may have."""
-    names, found = (comparison.result.vehicle, ""), curves(comparison)
-    drawn = {
-        "error_map": error_map(errors_by_regime(comparison), names),
-        "force_budget": force_budget(budgets(comparison)),
-    }
+    names, found, errors = (comparison.result.vehicle, ""), curves(comparison), errors_by_regime(comparison)
+    drawn = {"error_map": error_map(errors, names)} if errors.regimes else {}
+    drawn["force_budget"] = force_budget(budgets(comparison))
     for dof in comparison.result.degrees_of_freedom:
         drawn[f"residual_{dof}"] = residual_against(leading(found, dof), names)
     for kind, free in (("ahead", False), ("free_run", True)):
@@ -407,7 +405,7 @@ class _Pictures:
         return self._inline(ranking([c for c in d.ranking if helps(c, d)]))
 
     def maps(self) -> Iterator[Markup]:
-        return (self._inline(error_map(m, self._names)) for m in self._data.maps)
+        return (self._inline(error_map(m, self._names)) for m in self._data.maps if m.regimes)
 
     def run(self, place: int) -> Markup:
         return self._inline(measured_vs_simulated(self._data.runs[place], self._names))

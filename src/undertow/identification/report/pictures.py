@@ -31,7 +31,7 @@ from undertow.identification.doctor.examine import Examined
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.findings import percent
 from undertow.identification.logs.formats.fieldlog import FieldLog
-from undertow.identification.logs.run import UNITS
+from undertow.identification.logs.run import UNITS, Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -217,6 +217,8 @@ def ranking(ranked: Sequence[Ranked]) -> Figure:
     with look():
         picture, axes = figure(1.1 + 0.32 * max(len(shown), 1))
         axis = axes[0, 0]
+        axis.set_xscale("symlog", linthresh=0.1)  # before anything is drawn: it sets the margins
+        axis.xaxis.get_major_locator().set_params(numticks=7)
         for i, candidate in enumerate(shown):
             colour = AFTER if candidate.significant else FAINT
             if np.isfinite(candidate.interval).all():
@@ -224,7 +226,6 @@ def ranking(ranked: Sequence[Ranked]) -> Figure:
             face = colour if candidate.significant else "none"
             axis.scatter([candidate.improvement], [i], s=46, color=colour, facecolor=face, zorder=3)
         axis.axvline(0.0, color=INK, linewidth=0.8)
-        axis.set_xscale("symlog", linthresh=0.1)
         axis.xaxis.set_major_formatter(_plain_number)
         axis.set_yticks(range(len(shown)), [plain(c.effect) for c in shown])
         axis.invert_yaxis()
@@ -412,7 +413,8 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
     Above them, a row for each of the vehicle's own logs: when its motors drove, and which parts are used.
     """
     kinematics = Kinematics(examined.given, vehicle)
-    if not kinematics and not logs:
+    names = kinematics.rows if kinematics else []
+    if not names and not logs:
         raise UndertowError(
             f"no picture: the logs of '{vehicle.name}' have no pose with a measured velocity beside it"
         )
@@ -420,23 +422,31 @@ def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog]
     if examined.edits:
         pairs.append(("mistakes corrected", examined.mended, AFTER))
     with look():
-        count = len(logs) + (len(kinematics.rows) if kinematics else 0)
+        count = len(logs) + len(names)
         picture, axes = figure(2.5 * count + 0.5, count, len(pairs))
         for row, log in enumerate(logs):
             _used_panel(axes[row, 0], log)
             for axis in axes[row, 1:]:
                 axis.set_axis_off()
-        if not kinematics:
-            return picture
         for column, (title, runs, colour) in enumerate(pairs):
-            rates = kinematics.rates(runs)
-            share = kinematics.of_rates(rates).share
-            for row, name in enumerate(kinematics.rows):
-                block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
-                heading = f"{title}: mismatch {percent(share[block])}"
-                points = rates.velocity[:, row], rates.pose[:, row]
-                _panel(axes[len(logs) + row, column], points, name, heading, colour)
+            below = dict(zip(names, axes[len(logs) :, column], strict=True))
+            _rates_column(below, Kinematics(runs, vehicle), runs, title, colour)
     return picture
+
+
+def _rates_column(
+    axes: Mapping[str, Any], kinematics: Kinematics, runs: Sequence[Run], title: str, colour: str
+) -> None:
+    """A panel for each pose coordinate; once corrected, a log has it at other times, or not at all."""
+    rates = kinematics.rates(runs) if kinematics else None
+    for name, axis in axes.items():
+        if rates is None or name not in kinematics.rows:
+            axis.set_axis_off()
+            continue
+        row = kinematics.rows.index(name)
+        block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
+        heading = f"{title}: mismatch {percent(kinematics.of_rates(rates).share[block])}"
+        _panel(axis, (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
 
 
 def _used_panel(axis: Any, log: FieldLog) -> None:

@@ -35,7 +35,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             try:
                 sample = float(words[0]), float(words[3])
             except IndexError:
-                damaged += 1
+                damaged += len(words) in (1, 2)  # else an empty text, or the end of one with a line break
             except ValueError:
                 continue  # a text, which no channel can be
             else:
@@ -47,7 +47,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         columns={f"{n}.{_LAST}": column for n, column in _KNOWN.items() if n in series},
         frames=Frames(position="ENU", body="FRD", attitude="NED"),
     )
-    notes = (f"{damaged} truncated lines were left out",) if damaged else ()
+    notes = (f"truncated lines left out: {damaged}",) if damaged else ()
     return FieldLog(path, FORMAT.name, series, mapping, notes=notes)
 
 
