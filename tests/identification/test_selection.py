@@ -59,6 +59,17 @@ def test_what_makes_predictions_over_any_horizon_worse_is_not_worth_adding() -> 
     assert not worth.enough(0.1)
 
 
+@pytest.mark.parametrize(
+    ("falls", "worse", "harms"),
+    [((0.2, -0.05), (), False), ((0.2, -1.09), (), True), ((0.2, 0.3), (4.0,), True)],
+)
+def test_what_makes_predictions_worse_is_no_error_of_a_sensor_either(
+    falls: tuple[float, float], worse: tuple[float, ...], *, harms: bool
+) -> None:
+    by_horizon = dict(zip((4.0, 17.0), falls, strict=True))
+    assert Worth(by_horizon, by_horizon, worse).harms(DEFAULT.worth) is harms
+
+
 def test_what_is_lacking_is_said_of_the_horizon_that_it_lacks() -> None:
     falls, largest = {1.0: 0.1, 4.0: -0.03, 16.0: 0.2}, {1.0: 0.2, 4.0: 0.3, 16.0: 0.45}
     words = Worth(falls, largest, ()).lacking(0.1)

@@ -186,7 +186,7 @@ class ResultBuilder:
             return self.judgement
         compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
         if not compared or self._sensors_disagree:
-            contradiction = error_of_sensors(self.found.rounds[0].findings, compared, self.settings)
+            contradiction = error_of_sensors(self._harmless, compared, self.settings)
             if contradiction:
                 return contradiction
         noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
@@ -194,6 +194,13 @@ class ResultBuilder:
         if depends or not is_disturbance(self._predictable, noisy):
             return self.judgement
         return only_disturbance(self._predictable, self.judgement.share)
+
+    @property
+    def _harmless(self) -> list[FoundEffect]:
+        """The candidates for the model as given, without those known to make predictions worse."""
+        worth, least = {} if self._selection is None else self._selection.worth, self.settings.worth
+        harmful = {i for i, w in worth.items() if w.harms(least)}
+        return [f for f in self.found.rounds[0].findings if f.id not in harmful]
 
     @property
     def _sensors_disagree(self) -> bool:

@@ -413,12 +413,12 @@ class Grading:
         return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
     def _no_worse_by_residual(self, chosen: FoundEffect) -> list[FoundEffect]:
-        """Effects that leave no more of the residual than the chosen one, although it may be by chance.
+        """Effects that the residual does not tell from the chosen one, although they may be by chance.
 
         That something is missing is established by the chosen one; what does as well may be what is missing.
         """
-        error = chosen.trial.score.error
-        others = [f for f in self._round.findings if f.id not in self._found and f.trial.score.error <= error]
+        best, others = chosen.trial.score, [f for f in self._round.findings if f.id not in self._found]
+        others = [f for f in others if as_good(best, f.trial.score, self._bench)]
         others = sorted(others, key=lambda f: f.trial.score.error)[: self._settings.rivals]
         least = self._settings.worth
         return self._improving(others, lambda worth: worth.something(least) and not worth.worse)

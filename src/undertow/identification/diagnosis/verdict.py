@@ -189,8 +189,8 @@ def error_of_sensors(
         f"Unexplained: the sensors contradict each other. {takes} in the relation of pose to velocity, which "
         "no disturbance affects, but is not established as the cause: check the logs with undertow doctor."
         if compared
-        else f"Unexplained: {takes}, but is not established as the cause. Pose and velocity were not both "
-        "measured: an error of the sensor and a missing force look alike."
+        else f"Unexplained: {takes}, but is not established as the cause. No measured velocity can be "
+        "compared with a pose: an error of the sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 

@@ -99,6 +99,10 @@ class Worth:
         gained = max(self.largest[longest], 0.0)
         return f"reduces the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
 
+    def harms(self, least: float) -> bool:
+        """Whether predictions over any horizon become worse, significantly or by enough to matter."""
+        return bool(self.worse) or min(self.falls.values()) < -least
+
     def something(self, least: float) -> bool:
         """Whether predictions over any horizon improve by enough to matter."""
         return max(self.largest.values()) >= least
