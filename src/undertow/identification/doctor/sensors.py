@@ -58,7 +58,7 @@ class SensorSettings:
     worth: float = 5e-4  # mismatch below which it is not reported
     water_worth: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
-    told: float = 0.3  # standard error from which the scale of a velocity says nothing
+    scale_error: float = 0.3  # standard error from which the scale of a velocity says nothing
     rest: float = 0.05  # mismatch that is reported where nothing explains it
     still: float = (
         1e-3  # share of what the other does below which a pose rate, or a velocity, measures nothing
@@ -589,7 +589,7 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     lines = [
         f"{n} {s:.3f} ± {e:.1g}, offset {o:+.2g} {UNITS[n]}"
         for n, s, e, o in zip(names, scale, fit.error, offset, strict=False)
-        if e < SETTINGS.told
+        if e < SETTINGS.scale_error
     ]
     if lines:
         yield Finding(
