@@ -269,9 +269,14 @@ class Grading:
 
         Resamples of the weak-form residual respond to quick forces, those of the simulation to slow ones.
         """
-        by_residual = inclusion([linear(f.trial.fit, self._bench) for f in findings], self._settings)
+        return 0.5 * (self._by_residual(findings) + self._by_prediction(findings))
+
+    def _by_residual(self, findings: Sequence[FoundEffect]) -> Array:
+        return inclusion([linear(f.trial.fit, self._bench) for f in findings], self._settings)
+
+    def _by_prediction(self, findings: Sequence[FoundEffect]) -> Array:
         squares = [compared(self._ahead[f.id], findings, self._validator) for f in findings]
-        return 0.5 * (by_residual + best_in_resamples(squares, self._settings))
+        return best_in_resamples(squares, self._settings)
 
     @cached_property
     def _worthy(self) -> list[FoundEffect]:
@@ -392,7 +397,7 @@ class Grading:
     def _rivals_of(self, chosen: FoundEffect) -> list[FoundEffect]:
         """What does as well in place of an established effect; series that approximate it come first."""
         others = [f for f in self._found.values() if f is not chosen and self._is_enough(f)]
-        others += self._no_worse_by_residual(chosen)
+        others += self._ties(chosen)
         closed = [f for f in others if f.id in self._doubts and self._closed_where_it_predicts(f)]
         doubts = self._doubts | {f.id: self._doubt(f, alternative=True) for f in closed}
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
@@ -412,16 +417,17 @@ class Grading:
         """Whether only another fit than the one that predicts leaves a parameter of an effect open."""
         return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
-    def _no_worse_by_residual(self, chosen: FoundEffect) -> list[FoundEffect]:
-        """Effects that the residual does not tell from the chosen one, although they may be by chance.
+    def _ties(self, chosen: FoundEffect) -> list[FoundEffect]:
+        """Effects that resamples do not tell from the chosen one, although their gain may be by chance.
 
         That something is missing is established by the chosen one; what does as well may be what is missing.
         """
-        best, others = chosen.trial.score, [f for f in self._round.findings if f.id not in self._found]
-        others = [f for f in others if as_good(best, f.trial.score, self._bench)]
-        others = sorted(others, key=lambda f: f.trial.score.error)[: self._settings.rivals]
-        least = self._settings.worth
-        return self._improving(others, lambda worth: worth.something(least) and not worth.worse)
+        settings, rare = self._settings, 1.0 - self._settings.best_share
+        others = [f for f in self._round.findings if f.id not in self._found]
+        near = [f for f in others if self._by_residual([chosen, f])[1] > rare]
+        near = sorted(near, key=lambda f: f.trial.score.error)[: settings.rivals]
+        near = self._improving(near, lambda worth: worth.something(settings.worth) and not worth.worse)
+        return [f for f in near if self._by_prediction([chosen, f])[1] > rare]
 
     def _improving(
         self, findings: Sequence[FoundEffect], enough: Callable[[Worth], bool]
