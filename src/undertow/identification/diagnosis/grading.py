@@ -418,16 +418,18 @@ class Grading:
         return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
     def _ties(self, chosen: FoundEffect) -> list[FoundEffect]:
-        """Effects that resamples do not tell from the chosen one, although their gain may be by chance.
+        """Effects that leave no more of the residual than the chosen one, or that resamples of neither residual
+        nor predictions tell from it, although their gain may be by chance.
 
         That something is missing is established by the chosen one; what does as well may be what is missing.
         """
         settings, rare = self._settings, 1.0 - self._settings.best_share
+        no_worse = {f.id for f in self._round.findings if f.trial.score.error <= chosen.trial.score.error}
         others = [f for f in self._round.findings if f.id not in self._found]
-        near = [f for f in others if self._by_residual([chosen, f])[1] > rare]
+        near = [f for f in others if f.id in no_worse or self._by_residual([chosen, f])[1] > rare]
         near = sorted(near, key=lambda f: f.trial.score.error)[: settings.rivals]
         near = self._improving(near, lambda worth: worth.something(settings.worth) and not worth.worse)
-        return [f for f in near if self._by_prediction([chosen, f])[1] > rare]
+        return [f for f in near if f.id in no_worse or self._by_prediction([chosen, f])[1] > rare]
 
     def _improving(
         self, findings: Sequence[FoundEffect], enough: Callable[[Worth], bool]
