@@ -418,9 +418,9 @@ class Grading:
         return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
     def _ties(self, chosen: FoundEffect) -> list[FoundEffect]:
-        """Effects that leave no more of the residual than the chosen one, or that resamples of neither residual
-        nor predictions tell from it, although their gain may be by chance.
+        """Effects as good as the chosen one, although their gain may be by chance.
 
+        They leave no more of the residual, or resamples of neither residual nor predictions tell the two apart.
         That something is missing is established by the chosen one; what does as well may be what is missing.
         """
         settings, rare = self._settings, 1.0 - self._settings.best_share
