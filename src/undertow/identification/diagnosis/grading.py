@@ -420,7 +420,7 @@ class Grading:
     def _ties(self, chosen: FoundEffect) -> list[FoundEffect]:
         """Effects as good as the chosen one, although their gain may be by chance.
 
-        They leave no more of the residual, or resamples of neither residual nor predictions tell the two apart.
+        They leave no more of the residual, or resamples of residual and predictions do not tell them apart.
         That something is missing is established by the chosen one; what does as well may be what is missing.
         """
         settings, rare = self._settings, 1.0 - self._settings.best_share

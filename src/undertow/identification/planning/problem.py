@@ -585,11 +585,6 @@ class Separation(ResultTable):
     chi_square_now: float | None
     deviations_now: float | None
 
-    @property
-    def deviations_then(self) -> float:
-        """Standard deviations by the manoeuvre alone."""
-        return float(np.sqrt(max(self.chi_square - (self.chi_square_now or 0.0), 0.0)))
-
 
 class Rival(ResultTable):
     """One of the models to be told apart, and the values that its effects were planned with."""

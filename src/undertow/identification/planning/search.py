@@ -541,8 +541,8 @@ def suggest(
     specs = [RivalSpec(name, (values or {}).get(name, {})) for name in ids]
     plan = plan_separation(vehicle, specs, runs, PlanRequest(tries=tries), known=known).plan
     # That these logs do not tell them apart is known: what counts is what the run brings.
-    apart = min(plan.separations, key=lambda s: s.deviations_then)
-    then, now, between = apart.deviations_then, apart.deviations_now or 0.0, " and ".join(apart.pair)
+    apart = min(plan.separations, key=_alone)
+    then, now, between = _alone(apart), apart.deviations_now or 0.0, " and ".join(apart.pair)
     tried = f"manoeuvre of {plan.duration:g} s that was tried"
     if then < SEPARATION.separated:
         words = f"with the best they differ by only {then:.2g} standard deviations."
@@ -556,6 +556,11 @@ def suggest(
         f"--goal separate --between {','.join(ids)}."
     )
     return words, True
+
+
+def _alone(separation: Separation) -> float:
+    """Standard deviations by the manoeuvre alone."""
+    return float(np.sqrt(max(separation.chi_square - (separation.chi_square_now or 0.0), 0.0)))
 
 
 def _two_digits(value: float) -> str:
