@@ -522,6 +522,9 @@ def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding 
 def _still(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | None:
     """Velocities that stay at nothing while the pose moves, or the other way round; None where both move."""
     moved, said = (rms(table[:, block]) for table in (rates.pose, rates.velocity))
+    noise = rms(np.sqrt(rates.variance[:, block]))
+    if max(moved, said) < np.sqrt(SETTINGS.over_noise) * noise:  # at rest, nothing moves but the noise
+        return None
     if min(moved, said) > SETTINGS.still * max(moved, said):
         return None
     pose = [kinematics.rows[i] for i in block]
