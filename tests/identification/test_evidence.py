@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
-from undertow.identification.diagnosis.candidates import Candidate, candidates, possible_in
+from undertow.identification.diagnosis.candidates import Candidate, candidates, possible, possible_in
 from undertow.identification.diagnosis.evidence import (
     Blocks,
     Chance,
@@ -258,13 +258,13 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
     train = prepare(runs[:3], off)
     bench = open_bench(off, train, prepare(runs[3:], off, sigma=train.sigma))
     assert set(moved_parameters(off, bench.base)) == {"X_udot", "Y_vdot"}
-    possible = [Candidate(catalogue()[n], off) for n in ("entrained_water", "dry_friction", "lift")]
-    (found,) = equivalents(off, bench, possible)
+    tried = [Candidate(catalogue()[n], off) for n in ("entrained_water", "dry_friction", "lift")]
+    (found,) = equivalents(off, bench, tried)
     assert found.effects == ["entrained_water"]
     assert found.parameters == ["X_udot", "Y_vdot"]
     assert "determine X_udot and Y_vdot by other means" in found.separated_by
     right = open_bench(model, train, bench.test)
-    assert equivalents(model, right, possible) == []
+    assert equivalents(model, right, tried) == []
 
 
 @pytest.mark.slow
@@ -305,7 +305,7 @@ def test_velocities_taken_from_the_pose_leave_only_noise_and_no_velocity_sensor_
 
 def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
     model = vehicle_of(make_case("usv", (), 22, duration=1.0))
-    listed = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue(), derived=("r",))}
+    listed = {c.id: {p.name for p in c.parameters} for c in possible(model, catalogue(), derived=("r",))}
     assert listed["sensor_scale"] == {"scale_velocity"}
     assert listed["sensor_bias"] == {"b_u", "b_v"}
     assert listed["sensor_delay"] == {"velocity_delay"}

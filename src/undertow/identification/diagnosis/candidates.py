@@ -153,9 +153,9 @@ def _start(parameter: Parameter, start: float, command_scale: float) -> float:
     return start * command_scale if parameter.unit == "command" else start
 
 
-def candidates(vehicle: Vehicle, known: Catalogue, *, derived: Collection[str] = ()) -> list[Candidate]:
+def candidates(vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
     """All effects of the catalogue that would add something to a vehicle (see `possible`)."""
-    return [c for c in possible(vehicle, known, derived=derived) if not c.adds_nothing]
+    return [c for c in possible(vehicle, known) if not c.adds_nothing]
 
 
 def possible(
