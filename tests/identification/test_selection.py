@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
-from undertow.identification.diagnosis.candidates import possible
+from undertow.identification.diagnosis.candidates import Candidate, possible
 from undertow.identification.diagnosis.consistency import (
     Agreement,
     own_variables,
@@ -29,6 +30,7 @@ from undertow.identification.diagnosis.worth import Worth, best_in_resamples, ex
 from undertow.identification.estimation.fitted import Fitted
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.typing import Array
 
 
 def test_motions_that_an_effect_explains() -> None:
@@ -195,19 +197,24 @@ def test_variables_of_an_effect_are_those_of_its_equations() -> None:
     assert not {"x", "y"} & set(found["radiation_memory"])
 
 
+def _covariance(errors: Sequence[float]) -> Array:
+    """Of independent parameters with these standard errors."""
+    return np.diag(np.square(errors))
+
+
 @pytest.mark.parametrize(("stiffness", "known"), [(5.7, False), (30.0, True)])
 def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float, known: bool) -> None:
     """A soft spring to a far point with stiffness times length known pulls like a constant force."""
     values = {"k_tension": stiffness, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
-    errors = {"k_tension": 3.1, "L_slack": 4739.0, "z_anchor": 4710.0, "x_eye": 0.05}
-    words = undetermined(catalogue()["tether_tension"](()), values, errors)
+    errors = [3.1, 4739.0, 4710.0, 0.05]
+    words = undetermined(catalogue()["tether_tension"](()), values, _covariance(errors))
     assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not determined" in words
 
 
 @pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])
 def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said: str) -> None:
     effect = catalogue()["thruster_saturation"](())
-    words = undetermined(effect, {"saturation_limit": 0.66}, {"saturation_limit": error})
+    words = undetermined(effect, {"saturation_limit": 0.66}, _covariance([error]))
     assert words.endswith(said)
     assert bool(words) is bool(said)
 
@@ -226,7 +233,7 @@ def test_an_alternative_is_excluded_only_by_the_fit_that_predicts(
     """A dead band that the simulation determines, but not the residual force, may be the cause."""
 
     def fit(value: float, error: float) -> Fitted:
-        known = {"values": {"deadband_width": value}, "standard_errors": {"deadband_width": error}}
+        known = {"values": {"deadband_width": value}, "covariance": np.array([[error**2]])}
         model = SimpleNamespace(free=("deadband_width",))
         return cast(Fitted, SimpleNamespace(model=model, **known))
 
@@ -266,8 +273,33 @@ def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(a
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     memory = catalogue()["radiation_memory"](())
     values = {"X_memu": 2.0, "T_memory": 0.4}
-    assert "T_memory" in undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.3})
-    assert undetermined(memory, values, {"X_memu": 0.1, "T_memory": 0.1}) == ""
+    assert "T_memory" in undetermined(memory, values, _covariance([0.1, 0.3]))
+    assert undetermined(memory, values, _covariance([0.1, 0.1])) == ""
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 0.8, 1.2])
+def test_a_current_is_known_or_unknown_whatever_way_north_is(turn: float) -> None:
+    """Of a current only the component along a short line is known: the same in all axes."""
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    covariance = axes @ np.diag([0.1**2, 0.01**2]) @ axes.T
+    current = catalogue()["ocean_current"](())
+
+    def said(along: float) -> str:
+        north, east = axes @ [0.1, along]
+        return undetermined(current, {"V_N": float(north), "V_E": float(east)}, covariance)
+
+    assert said(0.03) == ""
+    assert "are not determined by these logs" in said(0.015)
+
+
+def test_of_a_current_both_components_are_estimated() -> None:
+    """Its axes are not those of the vehicle: that one is zero is no simpler model."""
+
+    def removable(effect: str) -> tuple[str, ...]:
+        return Candidate(catalogue()[effect], load_vehicle("cybership2")).removable
+
+    assert removable("ocean_current") == removable("water_speed_log") == ()
+    assert removable("constant_force") == ("X_0", "Y_0", "N_0")
 
 
 @pytest.mark.parametrize(
@@ -282,8 +314,8 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
 def test_a_mass_that_swings_has_a_frequency_of_its_own(frequency: float, error: float, said: str) -> None:
     """Slower than any tank it is a drift, quicker a stiff part of the hull."""
     values = {"m_slosh": 9.0, "slosh_frequency": frequency, "slosh_damping": 0.1}
-    errors = {"m_slosh": 1.0, "slosh_frequency": error, "slosh_damping": 0.01}
-    words = undetermined(catalogue()["slosh"](()), values, errors)
+    errors = [1.0, error, 0.01]
+    words = undetermined(catalogue()["slosh"](()), values, _covariance(errors))
     assert said in words if said else words == ""
 
 

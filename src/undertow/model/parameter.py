@@ -85,6 +85,9 @@ class Parameter:
         samples, instead of a parameter.
     with_log, without_log : str
         Input without which, or with which, the parameter has no meaning and does not exist.
+    earth_axis : bool
+        True for a component of a vector along north, east or down. Which of them is zero says nothing of the
+        vehicle: a model has all components or none.
     step_width : bool
         True for the velocity over which a step is smoothed; wider than the motion it is not a step.
     within : float
@@ -109,6 +112,7 @@ class Parameter:
     logged: bool = False
     with_log: str = ""
     without_log: str = ""
+    earth_axis: bool = False
     step_width: bool = False
     within: float = 100.0
     name: str = field(default="", kw_only=True)
@@ -292,6 +296,7 @@ class Place:
                 starts=(0.0,),
                 neutral=None,
                 arm_of="1" if self.axes == "body" else "",
+                earth_axis=self.axes == "ned",
                 without_log=self.without_log,
                 name=f"{axis}_{self.name}",
             )

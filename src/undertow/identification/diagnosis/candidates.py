@@ -84,8 +84,8 @@ class Candidate:
 
         A time constant with gains of the same effect means nothing by itself: the gains decide.
         """
-        linear = tuple(p.name for p in self.parameters if p.linear)
-        return linear or tuple(p.name for p in self.parameters)
+        sizes = [p for p in self.parameters if p.linear] or self.parameters
+        return tuple(p.name for p in sizes if not p.earth_axis)
 
     def shown_by(self, kept: Collection[str]) -> bool:
         """Whether these parameters of the effect alone, with all others zero, still make up the effect."""

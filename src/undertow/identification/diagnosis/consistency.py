@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2, norm
 
-from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import at_bounds
-from undertow.model.effect import Effect, Flow, Measurement
+from undertow.model.effect import Effect, Flow, Measurement, Parameter
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
@@ -234,7 +234,7 @@ def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
 
 # --- whether these logs show what is special about it -----------------------------------------------
 def undetermined(
-    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], settings: Settings = DEFAULT
+    effect: Effect, values: Mapping[str, float], covariance: Array, settings: Settings = DEFAULT
 ) -> str:
     """Which characteristic parameter of an effect these logs do not determine, in words; empty if none.
 
@@ -243,11 +243,12 @@ def undetermined(
     bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
     a product is, which may belong to another effect: a soft spring to a far point is a constant force.
 
-    values, errors: of its free parameters, by name, with standard errors.
+    values, covariance: of the free parameters of a model, its own among them, in the same order.
     """
     own = [p for p in effect.parameters if p.name in values]
+    errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
-    known = {p.name for p in own if abs(values[p.name]) > settings.time_constant_t * errors[p.name]}
+    known = _significant(own, values, covariance, settings.time_constant_t)
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
@@ -267,10 +268,29 @@ def undetermined(
     return ""
 
 
+def _significant(
+    own: Sequence[Parameter], values: Mapping[str, float], covariance: Array, least: float
+) -> set[str]:
+    """Names of parameters that differ from zero, given as standard errors of a single one.
+
+    North and east are no axes of a vehicle: a vector along them differs from zero as a whole, in whatever
+    direction it is known best.
+    """
+    names = list(values)
+    vector = [p.name for p in own if p.earth_axis]
+    groups = [[p.name] for p in own if not p.earth_axis] + ([vector] if vector else [])
+    places = [[names.index(n) for n in group] for group in groups]
+    found = np.array(list(values.values()))
+    level = 2.0 * norm.sf(least)
+    distance = [found[i] @ inverse_of(covariance[np.ix_(i, i)]) @ found[i] for i in places]
+    limits = [chi2.isf(level, len(group)) for group in groups]
+    return {n for group, d, limit in zip(groups, distance, limits, strict=True) if d > limit for n in group}
+
+
 def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
     """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
     effect, free = finding.trial.candidate.effect(()), {n: fit.values[n] for n in fit.model.free}
-    return undetermined(effect, free, fit.standard_errors, settings) or _at_limit(effect, fit)
+    return undetermined(effect, free, fit.covariance, settings) or _at_limit(effect, fit)
 
 
 def _at_limit(effect: Effect, fit: Fitted) -> str:

@@ -25,6 +25,7 @@ class OceanCurrent(Flow):
         starts=(0.0,),
         logged=True,
         per_run=True,
+        earth_axis=True,
     )
     V_E = Parameter(
         "m/s",
@@ -34,6 +35,7 @@ class OceanCurrent(Flow):
         starts=(0.0,),
         logged=True,
         per_run=True,
+        earth_axis=True,
     )
 
     def velocity(self, s: Signals) -> sm.Matrix:

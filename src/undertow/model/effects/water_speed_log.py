@@ -22,8 +22,12 @@ class WaterSpeedLog(Flow, Measurement):
     )
     stage = 10
 
-    V_N_log = Parameter("m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,))
-    V_E_log = Parameter("m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,))
+    V_N_log = Parameter(
+        "m/s", "velocity of the water to the north", (-5, 5), linear=False, starts=(0.0,), earth_axis=True
+    )
+    V_E_log = Parameter(
+        "m/s", "velocity of the water to the east", (-5, 5), linear=False, starts=(0.0,), earth_axis=True
+    )
 
     def velocity(self, s: Signals) -> sm.Matrix:
         return sm.Matrix([self.V_N_log, self.V_E_log, 0])
