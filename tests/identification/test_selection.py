@@ -277,6 +277,16 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     assert undetermined(memory, values, _covariance([0.1, 0.1])) == ""
 
 
+@pytest.mark.parametrize(("shared", "said"), [(0.0, True), (0.98, False)])
+def test_an_effect_that_may_be_zero_is_not_named(shared: float, *, said: bool) -> None:
+    """Two parameters of 1.5 standard errors each: what they have in common may be known well."""
+    drag = catalogue()["linear_damping_coupling"](())
+    covariance = np.array([[1.0, -shared], [-shared, 1.0]])
+    words = undetermined(drag, {"Y_r": 1.5, "N_v": 1.5}, covariance)
+    open_ = "Y_r = 1.5 ± 1 N/(rad/s) and N_v = 1.5 ± 1 N m/(m/s) are not determined by these logs"
+    assert words == (open_ if said else "")
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.8, 1.2])
 def test_a_current_is_known_or_unknown_whatever_way_north_is(turn: float) -> None:
     """Of a current only the component along a short line is known: the same in all axes."""

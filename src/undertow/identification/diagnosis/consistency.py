@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -241,14 +242,16 @@ def undetermined(
     A memory without a determined time constant is a spring or a damper, and so is one at a limit of its
     range. A command limit that is not determined may leave all of the thrust, or none. A parameter at its
     bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
-    a product is, which may belong to another effect: a soft spring to a far point is a constant force.
+    a product is, which may belong to another effect: a soft spring to a far point is a constant force. Nor is
+    an effect confirmed by a fit in which all of it may be zero.
 
     values, covariance: of the free parameters of a model, its own among them, in the same order.
     """
     own = [p for p in effect.parameters if p.name in values]
     errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g} {p.unit}".strip() for p in own}
-    known = _significant(own, values, covariance, settings.time_constant_t)
+    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g}{_unit(p)}" for p in own}
+    differ = partial(_differ_from_zero, values, covariance, settings)
+    known = {n for group in _groups(own) if differ(group) for n in group}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
@@ -257,34 +260,36 @@ def undetermined(
         ends = p.bounds if own_time else p.bounds[1:]
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} is at its bound"
-    sizes = [p.name for p in own if p.linear]
-    if own and not sizes and not known:
-        return (
-            f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
-        )
-    if sizes and len(own) > len(sizes) and not known & {*sizes}:
+    sizes = [p.name for p in own if p.linear] or [*words]
+    if not own or known & {*sizes} or differ(sizes):
+        return ""
+    if len(own) > len(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
-    return ""
+    return f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
 
 
-def _significant(
-    own: Sequence[Parameter], values: Mapping[str, float], covariance: Array, least: float
-) -> set[str]:
-    """Names of parameters that differ from zero, given as standard errors of a single one.
+def _unit(parameter: Parameter) -> str:
+    return "" if parameter.unit == "1" else f" {parameter.unit}"
 
-    North and east are no axes of a vehicle: a vector along them differs from zero as a whole, in whatever
-    direction it is known best.
+
+def _groups(own: Sequence[Parameter]) -> list[list[str]]:
+    """Parameters that differ from zero each for itself, or as the vector of which they are components.
+
+    North and east are no axes of a vehicle: a vector along them is known in whatever direction it is.
     """
-    names = list(values)
     vector = [p.name for p in own if p.earth_axis]
-    groups = [[p.name] for p in own if not p.earth_axis] + ([vector] if vector else [])
-    places = [[names.index(n) for n in group] for group in groups]
-    found = np.array(list(values.values()))
-    level = 2.0 * norm.sf(least)
-    distance = [found[i] @ inverse_of(covariance[np.ix_(i, i)]) @ found[i] for i in places]
-    limits = [chi2.isf(level, len(group)) for group in groups]
-    return {n for group, d, limit in zip(groups, distance, limits, strict=True) if d > limit for n in group}
+    return [[p.name] for p in own if not p.earth_axis] + [vector] * bool(vector)
+
+
+def _differ_from_zero(
+    values: Mapping[str, float], covariance: Array, settings: Settings, names: Sequence[str]
+) -> bool:
+    """Whether parameters differ from zero as a whole (Wald test), at the level of one at its limit."""
+    places = [list(values).index(n) for n in names]
+    estimate = np.array([values[n] for n in names])
+    distance = estimate @ inverse_of(covariance[np.ix_(places, places)]) @ estimate
+    return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names)))
 
 
 def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
