@@ -265,9 +265,9 @@ class Explained:
     after: Mismatch
 
 
-def inconsistent(mismatch: Mismatch) -> np.ndarray:
+def inconsistent(mismatch: Mismatch, least: float = SETTINGS.matters) -> np.ndarray:
     """Blocks in which pose rates and velocities disagree by more than noise and small sensor errors."""
-    return (mismatch.excess > SETTINGS.matters) & (mismatch.share > SETTINGS.over_noise * mismatch.floor)
+    return (mismatch.excess > least) & (mismatch.share > SETTINGS.over_noise * mismatch.floor)
 
 
 def explains(before: Mismatch, after: Mismatch) -> bool:
@@ -493,8 +493,9 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
         yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
         rates = _corrected(kinematics, runs, rates, best)
     left = kinematics.of_rates(rates)
-    for block, excess in zip(kinematics.blocks, left.excess, strict=True):
-        if excess > SETTINGS.rest:
+    parts = zip(kinematics.blocks, left.excess, inconsistent(left, SETTINGS.rest), strict=True)
+    for block, excess, differs in parts:
+        if differs:
             names = ", ".join(kinematics.rows[i] for i in block)
             yield _still(kinematics, rates, block) or Finding(
                 id="inconsistent",
@@ -507,14 +508,14 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
 
 def contradicted(kinematics: Kinematics, runs: Sequence[Run]) -> bool:
     """Whether some pose rate and the velocities differ by more than is called consistent."""
-    return bool(np.any(kinematics.mismatch(runs).excess > SETTINGS.rest))
+    return bool(np.any(inconsistent(kinematics.mismatch(runs), SETTINGS.rest)))
 
 
 def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding | None:
     """Velocities that stay zero while the pose moves; None if there are none."""
     rates = kinematics.rates(runs)
-    excess = kinematics.of_rates(rates).excess
-    blocks = (b for b, e in zip(kinematics.blocks, excess, strict=True) if e > SETTINGS.rest)
+    differ = inconsistent(kinematics.of_rates(rates), SETTINGS.rest)
+    blocks = (b for b, differs in zip(kinematics.blocks, differ, strict=True) if differs)
     found = (_still(kinematics, rates, block) for block in blocks)
     return next((f for f in found if f is not None and f.severity == "mistake"), None)
 
@@ -522,9 +523,6 @@ def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding 
 def _still(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | None:
     """Velocities that stay at nothing while the pose moves, or the other way round; None where both move."""
     moved, said = (rms(table[:, block]) for table in (rates.pose, rates.velocity))
-    noise = rms(np.sqrt(rates.variance[:, block]))
-    if max(moved, said) < np.sqrt(SETTINGS.over_noise) * noise:  # at rest, nothing moves but the noise
-        return None
     if min(moved, said) > SETTINGS.still * max(moved, said):
         return None
     pose = [kinematics.rows[i] for i in block]
