@@ -166,6 +166,16 @@ def test_azimuth_thrusters_push_sideways_and_turn() -> None:
     assert run(ferry, {"bow_x": 100.0, "stern_x": 100.0}, 20.0)["u"] > 0.3
 
 
+@pytest.mark.parametrize(("kind", "dof"), [("asv", "surge,yaw"), ("torpedo", "surge,yaw"), ("rov6", "heave")])
+def test_what_is_to_be_estimated_is_of_the_motions_that_are_asked_for(kind: str, dof: str) -> None:
+    """No log of a vehicle without sway determines its damping in sway."""
+    assert main([*words(kind), "--dof", dof, "--out", "my.toml"]) == 0
+    vehicle = load_vehicle(Path("my.toml"))
+    estimated = {n for n, v in vehicle.values.items() if v.estimate}
+    assert estimated
+    assert estimated <= {*vehicle.parameter_names}
+
+
 def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Path) -> None:
     assert main([*words("asv"), "--dof", "yaw,surge", "--out", "my.toml"]) == 0
     assert load_vehicle("my.toml").degrees_of_freedom == ("surge", "yaw")

@@ -6,6 +6,7 @@ import textwrap
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import tomlkit
@@ -304,7 +305,8 @@ def vehicle_text(
     hardware: Sequence[Hardware] = (),
 ) -> str:
     """The text of a vehicle file, which is known to be a valid one."""
-    text = _template().render(
+    render = partial(
+        _template().render,
         made_from=_plain(made_from),
         about=[part for line in about for part in textwrap.wrap(_plain(line), _WIDTH)],
         name=_quoted(name),
@@ -313,14 +315,20 @@ def vehicle_text(
         degrees_of_freedom=[_quoted(d) for d in degrees_of_freedom],
         water_density=_quoted(f"{density:g} kg/m^3"),
         forces=[_quoted(f"tau_{FORCE[DOFS.index(d)]}") for d in degrees_of_freedom],
-        effects=tables,
         hardware=hardware,
     )
+    return str(render(effects=_of_its_motions(tables, render(effects=tables)))).rstrip() + "\n"
+
+
+def _of_its_motions(tables: Sequence[EffectTable], text: str) -> list[EffectTable]:
+    """Tables of a vehicle file without what is to be estimated of motions that the vehicle does not have."""
     try:
-        vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+        vehicle = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
     except ValidationError as error:
         raise UndertowError(f"no vehicle file can be made from it: {error.errors()[0]['msg']}") from error
-    return str(text).rstrip() + "\n"
+    foreign = {n for n, v in vehicle.values.items() if v.estimate} - {*vehicle.parameter_names}
+    left = [replace(t, entries=[e for e in t.entries if e.split(" ")[0] not in foreign]) for t in tables]
+    return [new for new, old in zip(left, tables, strict=True) if new.entries or not old.entries]
 
 
 def _template() -> Template:
