@@ -12,6 +12,7 @@ import pytest
 from undertow.identification.diagnosis.candidates import Candidate, possible
 from undertow.identification.diagnosis.consistency import (
     Agreement,
+    may_be_zero,
     own_variables,
     undetermined,
     vanished_inertia,
@@ -285,6 +286,16 @@ def test_an_effect_that_may_be_zero_is_not_named(shared: float, *, said: bool) -
     words = undetermined(drag, {"Y_r": 1.5, "N_v": 1.5}, covariance)
     open_ = "Y_r = 1.5 ± 1 N/(rad/s) and N_v = 1.5 ± 1 N m/(m/s) are not determined by these logs"
     assert words == (open_ if said else "")
+
+
+@pytest.mark.parametrize(("loss", "there"), [(-0.012, False), (0.09, True)])
+def test_what_predicts_better_without_a_size_has_found_another_minimum(loss: float, *, there: bool) -> None:
+    asymmetry = catalogue()["thruster_asymmetry"](())
+    words = may_be_zero(asymmetry, {"reverse_loss": loss}, _covariance([0.042]))
+    assert words == ("" if there else f"reverse_loss = {loss:g} ± 0.04 is not determined by these logs")
+    tether = {"k_tension": 5.7, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
+    factors = _covariance([31.0, 4739.0, 4710.0, 5.0])
+    assert may_be_zero(catalogue()["tether_tension"](()), tether, factors) == "", "far from zero it may be"
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.8, 1.2])

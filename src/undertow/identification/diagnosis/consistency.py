@@ -242,14 +242,12 @@ def undetermined(
     A memory without a determined time constant is a spring or a damper, and so is one at a limit of its
     range. A command limit that is not determined may leave all of the thrust, or none. A parameter at its
     bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
-    a product is, which may belong to another effect: a soft spring to a far point is a constant force. Nor is
-    an effect confirmed by a fit in which all of it may be zero.
+    a product is, which may belong to another effect: a soft spring to a far point is a constant force.
 
     values, covariance: of the free parameters of a model, its own among them, in the same order.
     """
     own = [p for p in effect.parameters if p.name in values]
-    errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    words = {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g}{_unit(p)}" for p in own}
+    words = _words(own, values, covariance)
     differ = partial(_differ_from_zero, values, covariance, settings)
     known = {n for group in _groups(own) if differ(group) for n in group}
     for p in own:
@@ -260,13 +258,35 @@ def undetermined(
         ends = p.bounds if own_time else p.bounds[1:]
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} is at its bound"
-    sizes = [p.name for p in own if p.linear] or [*words]
-    if not own or known & {*sizes} or differ(sizes):
-        return ""
-    if len(own) > len(sizes):
+    sizes = [p.name for p in own if p.linear]
+    if sizes and len(own) > len(sizes) and not known & {*sizes} and not differ(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
-    return f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
+    return may_be_zero(effect, values, covariance, settings)
+
+
+def may_be_zero(
+    effect: Effect, values: Mapping[str, float], covariance: Array, settings: Settings = DEFAULT
+) -> str:
+    """The parameters of an effect if all of them may be zero, in words; empty if not.
+
+    A fit that nevertheless predicts better than one without the effect has found another local minimum. Where
+    the size of an effect has a factor, a test at zero does not hold.
+
+    values, covariance: as in `undetermined`.
+    """
+    own = [p for p in effect.parameters if p.name in values]
+    differ = partial(_differ_from_zero, values, covariance, settings)
+    if len({p.linear for p in own}) != 1 or differ([p.name for p in own]) or any(map(differ, _groups(own))):
+        return ""
+    words = _words(own, values, covariance).values()
+    return f"{' and '.join(words)} {'is' if len(own) == 1 else 'are'} not determined by these logs"
+
+
+def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
+    """Parameters with standard error and unit, by name."""
+    errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    return {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g}{_unit(p)}" for p in own}
 
 
 def _unit(parameter: Parameter) -> str:
@@ -294,8 +314,17 @@ def _differ_from_zero(
 
 def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
     """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
-    effect, free = finding.trial.candidate.effect(()), {n: fit.values[n] for n in fit.model.free}
-    return undetermined(effect, free, fit.covariance, settings) or _at_limit(effect, fit)
+    effect = finding.trial.candidate.effect(())
+    return undetermined(effect, _free(fit), fit.covariance, settings) or _at_limit(effect, fit)
+
+
+def nothing_left(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
+    """The parameters of an effect if a fit may do without it, in words; empty if not."""
+    return may_be_zero(finding.trial.candidate.effect(()), _free(fit), fit.covariance, settings)
+
+
+def _free(fit: Fitted) -> dict[str, float]:
+    return {n: fit.values[n] for n in fit.model.free}
 
 
 def _at_limit(effect: Effect, fit: Fitted) -> str:

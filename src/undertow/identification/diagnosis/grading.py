@@ -21,6 +21,7 @@ from .consistency import (
     left_open,
     never_turned,
     no_step,
+    nothing_left,
     own_variables,
     vanished_inertia,
 )
@@ -206,7 +207,8 @@ class Grading:
         """Why significant candidates were not chosen, by their ids."""
         doubts = self._doubts | dict.fromkeys(self._springs, SPRING)
         known = {
-            i: worth.lacking(self._settings.worth) or doubts.get(i, "") for i, worth in self.worth.items()
+            i: worth.lacking(self._settings.worth) or doubts.get(i) or self._nothing_left(self._found[i])
+            for i, worth in self.worth.items()
         }
         return {f.id: known.get(f.id) or _NOT_BEST for f in beyond_chance(self._round)}
 
@@ -231,7 +233,10 @@ class Grading:
         return gained(before, after, findings, self._validator)
 
     def _is_enough(self, finding: FoundEffect) -> bool:
-        return self.worth[finding.id].enough(self._settings.worth)
+        return self.worth[finding.id].enough(self._settings.worth) and not self._nothing_left(finding)
+
+    def _nothing_left(self, finding: FoundEffect) -> str:
+        return nothing_left(finding, self._validator.judged_fit(finding.trial.fit), self._settings)
 
     @cached_property
     def _able(self) -> list[FoundEffect]:
