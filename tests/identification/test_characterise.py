@@ -29,7 +29,7 @@ from undertow.identification.diagnosis.associations import (
     terms_of,
     without_waves,
 )
-from undertow.identification.diagnosis.force_rows import ForceRows
+from undertow.identification.diagnosis.force_rows import ForceRows, sliding
 from undertow.identification.diagnosis.residual import how, remaining, sentence, unknown_to
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
 from undertow.identification.diagnosis.splitting import split_into_pieces
@@ -557,3 +557,9 @@ def test_velocities_from_pose() -> None:
 def test_stretches_kept_aside() -> None:
     _, vehicle, runs = _simulated(HEADING, 1)
     assert _turning(*_refitted(vehicle, *split_into_pieces(runs))).term == "sin and cos of 2 psi"
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_a_segment_shorter_than_the_average_has_none(count: int) -> None:
+    assert sliding(count, 6).shape == (0, count)
+    assert sliding(6, 6).toarray() == pytest.approx(np.ones((1, 6)))

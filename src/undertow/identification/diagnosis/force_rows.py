@@ -130,7 +130,9 @@ class ForceRow:
 
 def sliding(count: int, width: int) -> csr_array:
     """Sums over every `width` consecutive rows of `count`, shape (max(count - width + 1, 0), count)."""
-    shape = max(count - width + 1, 0), count
+    if count < width:  # a segment too short for any
+        return csr_array((0, count))
+    shape = count - width + 1, count
     return csr_array(diags_array([np.ones(shape[0])] * width, offsets=range(width), shape=shape))
 
 
