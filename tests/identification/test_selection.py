@@ -209,7 +209,7 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     values = {"k_tension": stiffness, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
     errors = [3.1, 4739.0, 4710.0, 0.05]
     words = undetermined(catalogue()["tether_tension"](()), values, _covariance(errors))
-    assert words == "" if known else "k_tension = 5.7 ± 3 N/m is not determined" in words
+    assert words == "" if known else "k_tension = 5.7 ± 3.1 N/m is not determined" in words
 
 
 @pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])
@@ -291,11 +291,13 @@ def test_an_effect_that_may_be_zero_is_not_named(shared: float, *, said: bool) -
 @pytest.mark.parametrize(("loss", "there"), [(-0.012, False), (0.09, True)])
 def test_what_predicts_better_without_a_size_has_found_another_minimum(loss: float, *, there: bool) -> None:
     asymmetry = catalogue()["thruster_asymmetry"](())
-    words = may_be_zero(asymmetry, {"reverse_loss": loss}, _covariance([0.042]))
-    assert words == ("" if there else f"reverse_loss = {loss:g} ± 0.04 is not determined by these logs")
+    words = may_be_zero(asymmetry, {"reverse_loss": loss}, _covariance([0.042]), 2.0)
+    assert words == ("" if there else f"reverse_loss = {loss:g} ± 0.042 is not determined by these logs")
     tether = {"k_tension": 5.7, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
     factors = _covariance([31.0, 4739.0, 4710.0, 5.0])
-    assert may_be_zero(catalogue()["tether_tension"](()), tether, factors) == "", "far from zero it may be"
+    assert may_be_zero(catalogue()["tether_tension"](()), tether, factors, 2.0) == "", (
+        "far from zero it may be"
+    )
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.8, 1.2])

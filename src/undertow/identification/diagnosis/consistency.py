@@ -248,7 +248,7 @@ def undetermined(
     """
     own = [p for p in effect.parameters if p.name in values]
     words = _words(own, values, covariance)
-    differ = partial(_differ_from_zero, values, covariance, settings)
+    differ = partial(_differ_from_zero, values, covariance, settings.time_constant_t)
     known = {n for group in _groups(own) if differ(group) for n in group}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
@@ -262,21 +262,18 @@ def undetermined(
     if sizes and len(own) > len(sizes) and not known & {*sizes} and not differ(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
-    return may_be_zero(effect, values, covariance, settings)
+    return may_be_zero(effect, values, covariance, settings.time_constant_t)
 
 
-def may_be_zero(
-    effect: Effect, values: Mapping[str, float], covariance: Array, settings: Settings = DEFAULT
-) -> str:
+def may_be_zero(effect: Effect, values: Mapping[str, float], covariance: Array, least: float) -> str:
     """The parameters of an effect if all of them may be zero, in words; empty if not.
 
-    A fit that nevertheless predicts better than one without the effect has found another local minimum. Where
-    the size of an effect has a factor, a test at zero does not hold.
+    Where the size of an effect has a factor, a test at zero does not hold.
 
-    values, covariance: as in `undetermined`.
+    values, covariance: as in `undetermined`; least: standard errors of a single parameter that is not zero.
     """
     own = [p for p in effect.parameters if p.name in values]
-    differ = partial(_differ_from_zero, values, covariance, settings)
+    differ = partial(_differ_from_zero, values, covariance, least)
     if len({p.linear for p in own}) != 1 or differ([p.name for p in own]) or any(map(differ, _groups(own))):
         return ""
     words = _words(own, values, covariance).values()
@@ -286,7 +283,7 @@ def may_be_zero(
 def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
     """Parameters with standard error and unit, by name."""
     errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return {p.name: f"{p.name} = {values[p.name]:.2g} ± {errors[p.name]:.1g}{_unit(p)}" for p in own}
+    return {p.name: f"{p.name} = {values[p.name]:.3g} ± {errors[p.name]:.2g}{_unit(p)}" for p in own}
 
 
 def _unit(parameter: Parameter) -> str:
@@ -303,13 +300,13 @@ def _groups(own: Sequence[Parameter]) -> list[list[str]]:
 
 
 def _differ_from_zero(
-    values: Mapping[str, float], covariance: Array, settings: Settings, names: Sequence[str]
+    values: Mapping[str, float], covariance: Array, least: float, names: Sequence[str]
 ) -> bool:
-    """Whether parameters differ from zero as a whole (Wald test), at the level of one at its limit."""
+    """Whether parameters differ from zero as a whole (Wald test), at the level of one at `least` errors."""
     places = [list(values).index(n) for n in names]
     estimate = np.array([values[n] for n in names])
     distance = estimate @ inverse_of(covariance[np.ix_(places, places)]) @ estimate
-    return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names)))
+    return bool(distance > chi2.isf(2.0 * norm.sf(least), len(names)))
 
 
 def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
@@ -319,8 +316,11 @@ def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
 
 
 def nothing_left(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
-    """The parameters of an effect if a fit may do without it, in words; empty if not."""
-    return may_be_zero(finding.trial.candidate.effect(()), _free(fit), fit.covariance, settings)
+    """The parameters of an effect that predicts no better for them, in words; empty if it does.
+
+    A fit that nevertheless predicts better than one without the effect has found another local minimum.
+    """
+    return may_be_zero(finding.trial.candidate.effect(()), _free(fit), fit.covariance, settings.t_to_predict)
 
 
 def _free(fit: Fitted) -> dict[str, float]:
