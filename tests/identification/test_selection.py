@@ -9,13 +9,14 @@ from typing import cast
 import numpy as np
 import pytest
 
+from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.candidates import Candidate, possible
 from undertow.identification.diagnosis.consistency import (
     Agreement,
-    may_be_zero,
     own_variables,
     undetermined,
     vanished_inertia,
+    without_size,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.grading import (
@@ -27,8 +28,11 @@ from undertow.identification.diagnosis.grading import (
 )
 from undertow.identification.diagnosis.selection import Selection, merged, rivals_beside_later
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
+from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
+from undertow.identification.estimation.weak_form import fit_weak
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.typing import Array
@@ -278,26 +282,23 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     assert undetermined(memory, values, _covariance([0.1, 0.1])) == ""
 
 
-@pytest.mark.parametrize(("shared", "said"), [(0.0, True), (0.98, False)])
-def test_an_effect_that_may_be_zero_is_not_named(shared: float, *, said: bool) -> None:
-    """Two parameters of 1.5 standard errors each: what they have in common may be known well."""
-    drag = catalogue()["linear_damping_coupling"](())
-    covariance = np.array([[1.0, -shared], [-shared, 1.0]])
-    words = undetermined(drag, {"Y_r": 1.5, "N_v": 1.5}, covariance)
-    open_ = "Y_r = 1.5 ± 1 N/(rad/s) and N_v = 1.5 ± 1 N m/(m/s) are not determined by these logs"
-    assert words == (open_ if said else "")
-
-
-@pytest.mark.parametrize(("loss", "there"), [(-0.012, False), (0.09, True)])
-def test_what_predicts_better_without_a_size_has_found_another_minimum(loss: float, *, there: bool) -> None:
-    asymmetry = catalogue()["thruster_asymmetry"](())
-    words = may_be_zero(asymmetry, {"reverse_loss": loss}, _covariance([0.042]), 2.0)
-    assert words == ("" if there else f"reverse_loss = {loss:g} ± 0.042 is not determined by these logs")
-    tether = {"k_tension": 5.7, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
-    factors = _covariance([31.0, 4739.0, 4710.0, 5.0])
-    assert may_be_zero(catalogue()["tether_tension"](()), tether, factors, 2.0) == "", (
-        "far from zero it may be"
-    )
+def test_a_fit_with_an_effect_at_nothing_is_the_vehicle_without_it() -> None:
+    """The comparison that shows whether predictions are better by the effect or by another local minimum."""
+    vehicle, runs = surge_vehicle(), [surge_run(0.01, seed) for seed in (1, 2)]
+    data = prepare(runs, vehicle)
+    candidate = Candidate(catalogue()["constant_force"], vehicle)
+    fit = fit_weak(candidate.model(), data)
+    finding = cast(FoundEffect, SimpleNamespace(trial=SimpleNamespace(candidate=candidate)))
+    without = without_size(finding, fit)
+    assert without is not None
+    assert without.values == fit.values | {"X_0": 0.0}
+    plain = fit_weak(vehicle, data, [n for n in fit.model.free if n != "X_0"])
+    p = np.array(plain.p)
+    p[list(plain.model.places)] = [fit.values[n] for n in plain.model.free]
+    validator = SimulationValidator(vehicle, runs[:1], runs[1:], data.sigma)
+    squares = (validator.squares_ahead(f) for f in (without, plain.with_parameters(p)))
+    for same in zip(*(each.values() for each in squares), strict=True):
+        assert same[0] == pytest.approx(same[1], rel=1e-9)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 0.8, 1.2])

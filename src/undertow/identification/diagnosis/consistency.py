@@ -248,7 +248,7 @@ def undetermined(
     """
     own = [p for p in effect.parameters if p.name in values]
     words = _words(own, values, covariance)
-    differ = partial(_differ_from_zero, values, covariance, settings.time_constant_t)
+    differ = partial(_differ_from_zero, values, covariance, settings)
     known = {n for group in _groups(own) if differ(group) for n in group}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
@@ -259,25 +259,14 @@ def undetermined(
         if np.isclose(values[p.name], ends, rtol=1e-6).any():
             return f"{p.name} = {values[p.name]:.3g} is at its bound"
     sizes = [p.name for p in own if p.linear]
+    if own and not sizes and not known and not differ([*words]):
+        return (
+            f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
+        )
     if sizes and len(own) > len(sizes) and not known & {*sizes} and not differ(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
-    return may_be_zero(effect, values, covariance, settings.time_constant_t)
-
-
-def may_be_zero(effect: Effect, values: Mapping[str, float], covariance: Array, least: float) -> str:
-    """The parameters of an effect if all of them may be zero, in words; empty if not.
-
-    Where the size of an effect has a factor, a test at zero does not hold.
-
-    values, covariance: as in `undetermined`; least: standard errors of a single parameter that is not zero.
-    """
-    own = [p for p in effect.parameters if p.name in values]
-    differ = partial(_differ_from_zero, values, covariance, least)
-    if len({p.linear for p in own}) != 1 or differ([p.name for p in own]) or any(map(differ, _groups(own))):
-        return ""
-    words = _words(own, values, covariance).values()
-    return f"{' and '.join(words)} {'is' if len(own) == 1 else 'are'} not determined by these logs"
+    return ""
 
 
 def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
@@ -300,31 +289,36 @@ def _groups(own: Sequence[Parameter]) -> list[list[str]]:
 
 
 def _differ_from_zero(
-    values: Mapping[str, float], covariance: Array, least: float, names: Sequence[str]
+    values: Mapping[str, float], covariance: Array, settings: Settings, names: Sequence[str]
 ) -> bool:
-    """Whether parameters differ from zero as a whole (Wald test), at the level of one at `least` errors."""
+    """Whether parameters differ from zero as a whole (Wald test), at the level of one at its limit."""
     places = [list(values).index(n) for n in names]
     estimate = np.array([values[n] for n in names])
     distance = estimate @ inverse_of(covariance[np.ix_(places, places)]) @ estimate
-    return bool(distance > chi2.isf(2.0 * norm.sf(least), len(names)))
+    return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names)))
 
 
 def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
     """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
     effect = finding.trial.candidate.effect(())
-    return undetermined(effect, _free(fit), fit.covariance, settings) or _at_limit(effect, fit)
+    free = {n: fit.values[n] for n in fit.model.free}
+    return undetermined(effect, free, fit.covariance, settings) or _at_limit(effect, fit)
 
 
-def nothing_left(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
-    """The parameters of an effect that predicts no better for them, in words; empty if it does.
+def without_size(finding: FoundEffect, fit: Fitted) -> Fitted | None:
+    """The fitted model with the effect at nothing and all else as it is; None if it has values by run.
 
-    A fit that nevertheless predicts better than one without the effect has found another local minimum.
+    What predicts as well as the fit has itself found another local minimum: the effect improves nothing.
     """
-    return may_be_zero(finding.trial.candidate.effect(()), _free(fit), fit.covariance, settings.t_to_predict)
-
-
-def _free(fit: Fitted) -> dict[str, float]:
-    return {n: fit.values[n] for n in fit.model.free}
+    own = [p for p in finding.trial.candidate.effect(()).parameters if p.name in fit.model.values.names]
+    sizes = [p for p in own if p.linear] or own
+    neutral = {p.name: p.neutral for p in sizes if p.neutral is not None}
+    if not neutral or any(p.name in fit.model.values.by_run for p in own):
+        return None
+    values = np.array(fit.p)
+    for name, place in zip(fit.model.free, fit.model.places, strict=True):
+        values[place] = neutral.get(name, values[place])
+    return fit.with_parameters(values)
 
 
 def _at_limit(effect: Effect, fit: Fitted) -> str:

@@ -21,9 +21,9 @@ from .consistency import (
     left_open,
     never_turned,
     no_step,
-    nothing_left,
     own_variables,
     vanished_inertia,
+    without_size,
 )
 from .evidence import (
     FoundEffect,
@@ -139,6 +139,7 @@ def open_in_a_fit(
 
 
 _NOT_BEST = "other effects are better in nearly all resamples of the logs"
+_OTHER_MINIMUM = "its fit predicts as well with nothing of it, and has only found another local minimum"
 
 #: Squares of the predictions of a model, by horizon.
 _Squares = Mapping[float, Array]
@@ -186,6 +187,7 @@ class Grading:
         self._before, *after = self._predicted(fits)
         self._ahead: dict[str, dict[float, Array]] = dict(zip(self._found, after, strict=True))
         self.worth = {i: self._gained([f], self._before, self._ahead[i]) for i, f in self._found.items()}
+        self._needless: dict[str, bool] = {}
 
     def best(self) -> Graded | None:
         """The best candidate that improves predictions enough, with its rivals; an established one leads.
@@ -207,7 +209,7 @@ class Grading:
         """Why significant candidates were not chosen, by their ids."""
         doubts = self._doubts | dict.fromkeys(self._springs, SPRING)
         known = {
-            i: worth.lacking(self._settings.worth) or doubts.get(i) or self._nothing_left(self._found[i])
+            i: worth.lacking(self._settings.worth) or doubts.get(i) or self._other_minimum(self._found[i])
             for i, worth in self.worth.items()
         }
         return {f.id: known.get(f.id) or _NOT_BEST for f in beyond_chance(self._round)}
@@ -233,10 +235,20 @@ class Grading:
         return gained(before, after, findings, self._validator)
 
     def _is_enough(self, finding: FoundEffect) -> bool:
-        return self.worth[finding.id].enough(self._settings.worth) and not self._nothing_left(finding)
+        return self.worth[finding.id].enough(self._settings.worth) and not self._other_minimum(finding)
 
-    def _nothing_left(self, finding: FoundEffect) -> str:
-        return nothing_left(finding, self._validator.judged_fit(finding.trial.fit), self._settings)
+    def _other_minimum(self, finding: FoundEffect) -> str:
+        """That the fit predicts as well with nothing of the effect, in words; empty if not."""
+        if finding.id not in self._needless:
+            self._needless[finding.id] = self._predicts_without(finding)
+        return _OTHER_MINIMUM if self._needless[finding.id] else ""
+
+    def _predicts_without(self, finding: FoundEffect) -> bool:
+        without = without_size(finding, self._validator.judged_fit(finding.trial.fit))
+        if without is None:
+            return False
+        squares = self._validator.squares_ahead(without)
+        return not self._gained([finding], squares, self._ahead[finding.id]).something(self._settings.worth)
 
     @cached_property
     def _able(self) -> list[FoundEffect]:

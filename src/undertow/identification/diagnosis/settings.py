@@ -325,14 +325,8 @@ class Settings:
     )
     time_constant_t: float = _number(
         2.0,
-        "standard errors by which an effect, or its time constant, has to differ from zero to be established",
+        "standard errors by which the time constant of an effect has to differ from zero",
         _LEVEL,
-        off=0.0,
-    )
-    t_to_predict: float = _number(
-        2.0**0.5,
-        "standard errors from zero below which a parameter makes predictions worse, not better",
-        "Akaike's criterion",
         off=0.0,
     )
     part_error: float = _number(

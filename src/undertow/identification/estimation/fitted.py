@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol, Self, cast
 
 import numpy as np
 from scipy.stats import chi2
@@ -358,6 +358,10 @@ class Fitted(ABC):
         """Fitted values of the free parameters, SI and SNAME signs; of values by run the mean as well."""
         own = {n: float(self.p[k]) for n, k in zip(self.model.free, self.model.places, strict=True)}
         return own | {t.parameter: t.mean for t in self.between_runs}
+
+    def with_parameters(self, p: Array) -> Self:
+        """The same model and logs with other parameters, (n_parameters,), which are no minimum."""
+        return cast(Self, replace(cast(Any, self), p=p))
 
     @property
     def standard_errors(self) -> dict[str, float]:
