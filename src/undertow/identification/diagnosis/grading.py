@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -414,7 +414,7 @@ class Grading:
     def _rivals_of(self, chosen: FoundEffect) -> list[FoundEffect]:
         """What does as well in place of an established effect; series that approximate it come first."""
         others = [f for f in self._found.values() if f is not chosen and self._is_enough(f)]
-        others += self._ties(chosen)
+        others += self._ties(chosen, {chosen.id, *(f.id for f in others)})
         closed = [f for f in others if f.id in self._doubts and self._closed_where_it_predicts(f)]
         doubts = self._doubts | {f.id: self._doubt(f, alternative=True) for f in closed}
         plain = {chosen.id, *(f.id for f in others if not doubts.get(f.id))}
@@ -434,7 +434,7 @@ class Grading:
         """Whether only another fit than the one that predicts leaves a parameter of an effect open."""
         return bool(self._left_open(finding)) and not self._left_open(finding, alternative=True)
 
-    def _ties(self, chosen: FoundEffect) -> list[FoundEffect]:
+    def _ties(self, chosen: FoundEffect, known: Collection[str]) -> list[FoundEffect]:
         """Effects as good as the chosen one, although their gain may be by chance.
 
         They leave no more of the residual, or resamples of residual and predictions do not tell them apart.
@@ -442,11 +442,12 @@ class Grading:
         """
         settings, rare = self._settings, 1.0 - self._settings.best_share
         no_worse = {f.id for f in self._round.findings if f.trial.score.error <= chosen.trial.score.error}
-        others = [f for f in self._round.findings if f.id not in self._found]
+        others = [f for f in self._round.findings if f.id not in known]
         near = [f for f in others if f.id in no_worse or self._by_residual([chosen, f])[1] > rare]
         near = sorted(near, key=lambda f: f.trial.score.error)[: settings.rivals]
         near = self._improving(near, lambda worth: worth.something(settings.worth) and not worth.worse)
-        return [f for f in near if f.id in no_worse or self._by_prediction([chosen, f])[1] > rare]
+        near = [f for f in near if f.id in no_worse or self._by_prediction([chosen, f])[1] > rare]
+        return [f for f in near if not self._other_minimum(f)]
 
     def _improving(
         self, findings: Sequence[FoundEffect], enough: Callable[[Worth], bool]
