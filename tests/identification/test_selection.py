@@ -282,7 +282,7 @@ def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     assert undetermined(memory, values, _covariance([0.1, 0.1])) == ""
 
 
-def test_a_fit_with_an_effect_at_nothing_is_the_vehicle_without_it() -> None:
+def test_a_fit_with_an_effect_set_to_zero_is_the_vehicle_without_it() -> None:
     """The comparison that shows whether predictions are better by the effect or by another local minimum."""
     vehicle, runs = surge_vehicle(), [surge_run(0.01, seed) for seed in (1, 2)]
     data = prepare(runs, vehicle)

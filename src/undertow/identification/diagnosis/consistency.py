@@ -306,9 +306,9 @@ def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
 
 
 def without_size(finding: FoundEffect, fit: Fitted) -> Fitted | None:
-    """The fitted model with the effect at nothing and all else as it is; None if it has values by run.
+    """A fit with the effect set to zero and all else as it is; None if the effect has values by run.
 
-    What predicts as well as the fit has itself found another local minimum: the effect improves nothing.
+    If it predicts as well, the fit has only reached another local minimum: the effect improves nothing.
     """
     own = [p for p in finding.trial.candidate.effect(()).parameters if p.name in fit.model.values.names]
     sizes = [p for p in own if p.linear] or own

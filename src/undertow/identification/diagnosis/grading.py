@@ -139,7 +139,7 @@ def open_in_a_fit(
 
 
 _NOT_BEST = "other effects are better in nearly all resamples of the logs"
-_OTHER_MINIMUM = "its fit predicts as well with nothing of it, and has only found another local minimum"
+_OTHER_MINIMUM = "its fit predicts as well with it set to zero: it has only reached another local minimum"
 
 #: Squares of the predictions of a model, by horizon.
 _Squares = Mapping[float, Array]
@@ -238,7 +238,7 @@ class Grading:
         return self.worth[finding.id].enough(self._settings.worth) and not self._other_minimum(finding)
 
     def _other_minimum(self, finding: FoundEffect) -> str:
-        """That the fit predicts as well with nothing of the effect, in words; empty if not."""
+        """That the fit predicts as well with the effect set to zero, in words; empty if not."""
         if finding.id not in self._needless:
             self._needless[finding.id] = self._predicts_without(finding)
         return _OTHER_MINIMUM if self._needless[finding.id] else ""
