@@ -201,6 +201,12 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("mavlink_attitude_t.rollspeed", "p", ""),
         ("mavlink_attitude_t.yawspeed", "r", ""),
         ("imu.omegaz_rad_s", "r", "rad/s"),
+        ("u_ms", "u", "m/s"),
+        ("sog_ms", "", "m/s"),
+        ("time_ms", "", "ms"),
+        ("rot_dps", "r", "deg/s"),
+        ("ROT", "r", ""),
+        ("rpm1", "", "rpm"),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:

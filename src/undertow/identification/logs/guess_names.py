@@ -49,6 +49,7 @@ _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
     "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
     "vm": 1,  # v_m of the MMG model: sway velocity at midship
+    "rot": 5,  # rate of turn, as in sentences of NMEA 0183
 }  # fmt: skip
 # Sides of the vehicle: a speed there is along its axes, as in "SOG fwd (m/s)"; to the left it is -v.
 _SIDEWAYS = {
@@ -59,6 +60,7 @@ _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
 _OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
 _OF_RATE = {"rate", "rates", "dot", "gyr", "gyro", "angular", "omega", "angvel", "rotational"}
+_ALONG = {*(w for w, place in _MOVES.items() if place < 3), *_OF_SPEED, *_EARTH_SPEEDS, "sog"}
 _OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
 # Not the motion as measured: what was wanted of it, how far off it was, how well it is known.
 WANTED = {
@@ -177,9 +179,12 @@ class Name:
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
             speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
+            if unit == "ms" and {*words[:-length]} & _ALONG:
+                unit = "m/s"  # "u_ms": no speed is counted in milliseconds
             if unit and len(words) > length and not speed:
                 return cls(column, tuple(words[:-length]), unit)
-        return cls(column, tuple(words), "rpm" if "rpm" in words else "pwm" if "pwm" in words else "")
+        counted = (re.fullmatch(r"(rpm|pwm)\d*", w) for w in words)
+        return cls(column, tuple(words), next((m[1] for m in counted if m), ""))
 
     @property
     def rank(self) -> tuple[int, int]:
