@@ -125,3 +125,18 @@ def test_what_a_log_cannot_tell_is_no_number(boat: Vehicle) -> None:
     """A speed that hardly changes leaves its scale and its offset open."""
     assert "agreement" in _findings(boat, _boat())
     assert "agreement" not in _findings(boat, _boat(seconds=60.0, swing=0.0))
+
+
+def test_commands_beyond_the_limit_that_the_file_states_are_reported(boat: Vehicle) -> None:
+    """The model takes such commands as they are: what the thruster does with them is for the owner to say."""
+    run = _boat()
+    largest = float(np.nanmax(np.abs(run.channels["port"])))
+    limited = [replace(t, limit=0.8 * largest if t.name == "port" else 2.0 * largest) for t in boat.thrusters]
+    vehicle = replace(boat, thrusters=tuple(limited))
+    (found,) = [f for f in examine(vehicle, [run]).result.findings if f.id == "limits_exceeded"]
+    beyond = np.abs(run.channels["port"]) > 1.02 * 0.8 * largest
+    assert found.evidence == pytest.approx({"share": float(np.mean(beyond)), "limit": 0.8 * largest})
+    assert "does not cut them off: port in " in found.text
+    assert "starboard" not in found.text
+    enough = replace(boat, thrusters=tuple(replace(t, limit=largest) for t in boat.thrusters))
+    assert not [f for f in examine(enough, [run]).result.findings if f.id == "limits_exceeded"]

@@ -32,7 +32,7 @@ from .dynamics import (
     rederived,
     wirings,
 )
-from .forces import impossible, suspicious
+from .forces import exceeded_limits, impossible, suspicious
 from .headings import heading_findings
 from .kinematics import Kinematics, rms
 from .mistakes import (
@@ -362,6 +362,7 @@ class _Examiner:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         self.findings += heading_findings(self.mapping, self.runs)
+        self.findings += exceeded_limits(self.vehicle, self.runs)
         self._undo_deviation()
         kinematics = self.kinematics
         if kinematics:

@@ -15,9 +15,11 @@ from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
+from undertow.identification.findings import Finding, percent
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Curve, Propeller
+from undertow.model.effects.thruster_saturation import ThrusterSaturation
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -460,6 +462,39 @@ class _PlausibilityCheck:
         value, limit = far[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
+
+
+def exceeded_limits(
+    vehicle: Vehicle, runs: Sequence[Run], settings: PlausibilitySettings = PLAUSIBLE
+) -> Iterator[Finding]:
+    """Commands beyond the limit of their thruster, which the model does not cut off."""
+    cut = {t.name for t in vehicle.thrusters if isinstance(t.law, Curve)} | {s.name for s in vehicle.surfaces}
+    if any(isinstance(effect, ThrusterSaturation) for effect in vehicle.effects):
+        return
+    limits = {n: limit for n, limit in vehicle.command_limits.items() if n not in cut}
+    over = {n: _over(runs, n) / limit for n, limit in limits.items()}
+    far = {n: float(np.mean(ratio > settings.beyond)) for n, ratio in over.items() if len(ratio)}
+    far = {n: share for n, share in far.items() if share > settings.often}
+    if not far:
+        return
+    worst = max(far, key=lambda n: far[n])
+    most, limit = limits[worst] * float(np.max(over[worst])), limits[worst]
+    yield Finding(
+        id="limits_exceeded",
+        severity="warning",
+        text=f"commands exceed the limit in the vehicle file and the model does not cut them off: {worst} in "
+        f"{percent(far[worst])} of the samples, up to {most:.4g}, limit {limit:.4g}"
+        + (f" (also {', '.join(n for n in far if n != worst)})" if len(far) > 1 else "")
+        + "; if the thruster cuts them off, undertow add thruster_saturation, else correct the limit, or the "
+        "scale in the mapping file",
+        evidence={"share": far[worst], "limit": limit},
+    )
+
+
+def _over(runs: Sequence[Run], name: str) -> Array:
+    """Magnitudes of a command where it was logged."""
+    data = np.abs(np.concatenate([run.channels[name] for run in runs]))
+    return data[np.isfinite(data)]
 
 
 def _within(gain: float, factor: float) -> bool:

@@ -166,6 +166,10 @@ class PlausibilitySettings:
     # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
     # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
+    # beyond, often: command over its limit that counts as beyond it, and the share of such samples from which
+    # it is said. A limit is stated to two or three digits.
+    beyond: float = 1.02
+    often: float = 0.01
     # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
     angle: float = 1.571
     # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
