@@ -238,7 +238,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
-    disturbance = "; the rest is a disturbance that no model of these signals can predict"
+    disturbance = "; the rest is sensor noise and a disturbance that no model of these signals can predict"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
     not_the_cause = (
         "it is not established as the cause: use it to predict, not to explain."
