@@ -100,6 +100,7 @@ def set_up_addition(
     return AdditionSetup(vehicle, train_runs, test_runs, bench, validator)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
     """Add an effect to the model, refit all parameters, and evaluate it on validation data."""
     base = setup.bench.base.model.functions.vehicle

@@ -23,7 +23,13 @@ class SteeringGear(Actuation):
         "s", "time constant", (0.005, 60.0), linear=False, default=0.1, starts=(0.2, 1.0), neutral=None
     )
     rate = PerSurface(
-        "rad/s", "largest rate of turn", (1e-4, 100.0), linear=False, default=10.0, neutral=None
+        "rad/s",
+        "largest rate of turn",
+        (1e-4, 100.0),
+        linear=False,
+        default=10.0,
+        starts=(0.05, 0.5),
+        neutral=None,
     )
 
     @property
