@@ -492,6 +492,17 @@ def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
 
 
+def test_rivals_beside_a_force_that_differs_between_runs_have_one_value_of_it(drag_plan: Planned) -> None:
+    """The run that is planned is none of those that the logs hold."""
+    effects = {"rigid_body": {"m": 7.5}, "added_mass": {"X_udot": _free(1.6)}}
+    pushed = {"constant_force": {"X_0": {"value": 0.1, "estimate": True, "per_run": True}}}
+    vehicle = _vehicle(["surge"], effects | pushed, ["tau_X"])
+    logs = [_log(drag_plan.manoeuvre, 0, seed) for seed in (5, 6)]
+    problem = PlanningProblem(SHORT, vehicle, [Plant.of(vehicle)], logs)
+    rivals = rival_models(vehicle, LINEAR_OR_QUADRATIC, catalogue(), problem)
+    assert [r.known.free for r in rivals] == [("X_udot", "X_0", "X_u"), ("X_udot", "X_0", "X_uabsu")]
+
+
 def test_no_run_is_proposed_that_separates_less_than_the_logs_that_did_not(drag_plan: Planned) -> None:
     logs = [_log(drag_plan.manoeuvre, 0, seed) for seed in range(5, 9)]
     said, apart = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], logs, tries=10)

@@ -240,6 +240,7 @@ def rival_models(
     vehicle: Vehicle, specs: Sequence[RivalSpec], known: Catalogue, problem: PlanningProblem
 ) -> list[RivalModel]:
     """The rivals with values: fitted to the logs of a problem, else as stated, else of typical size."""
+    vehicle = _with_one_value_in_all_runs(vehicle)
     runs, before = problem.runs, free_parameters(vehicle)
     data = prepare(runs, vehicle) if runs else None
     bench = None if data is None else open_bench(vehicle, data, data)
@@ -257,6 +258,12 @@ def rival_models(
         model = WeakModel(plant.functions, known_of.free)
         made.append(RivalModel(spec.name, plant, known_of, model, own, source))
     return made
+
+
+def _with_one_value_in_all_runs(vehicle: Vehicle) -> Vehicle:
+    """The vehicle without values by run: the run that is planned is none of those that the logs hold."""
+    differing = [n for n in free_parameters(vehicle) if vehicle.differs_between_runs(n)]
+    return vehicle.with_values({n: replace(vehicle.value_of(n), per_run=False) for n in differing})
 
 
 def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> WeakFit:
