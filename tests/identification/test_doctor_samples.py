@@ -54,6 +54,18 @@ def test_jitter_is_reported_in_percent() -> None:
     assert found["jitter"].evidence["jitter"] == pytest.approx(0.2 / np.sqrt(3), rel=0.1)
 
 
+def test_an_even_clock_with_too_few_digits_is_told_from_one_that_jitters() -> None:
+    """Four rows a second with one decimal: steps of 0.2 and 0.3 s."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 100.0, 0.25)
+    found = _found(_run(np.round(t, 1), u=rng.standard_normal(len(t))))
+    assert "jitter" not in found
+    assert found["rounded_times"].severity == "warning"
+    assert found["rounded_times"].evidence["interval"] == pytest.approx(0.25, abs=1e-4)
+    assert found["rounded_times"].mapping.startswith("[time]\ninterval = ")
+    late = np.round(np.cumsum(0.25 * (1 + 0.2 * rng.uniform(-1, 1, 400))), 1)
+    assert "jitter" in _found(_run(late, u=rng.standard_normal(400)))
+
+
 def test_what_many_runs_show_is_said_once_of_the_worst() -> None:
     runs = []
     for k, jitter in enumerate((0.1, 0.3, 0.2)):

@@ -22,6 +22,10 @@ class SamplingSettings:
     """From where on sampling and excitation are reported."""
 
     jitter: float = 0.05  # spread of the steps, as a share of the usual one
+    # rounded, whole_digit: times that are rounded are within half of their last digit of what they were; a
+    # time counts as a whole number of digits if it is as near as this, of one digit.
+    rounded: float = 0.6
+    whole_digit: float = 1e-3
     gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
     missing: float = 0.02  # share of rows or cells that are missing
     most_time: float = 0.5  # share of the time in gaps, many of them, from which rows come in bursts
@@ -97,17 +101,46 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
     usual = float(np.median(step))
     yield from _disorder(run, mapping)
     yield from _bursts(step, usual) or _lost_rows(run, step, usual)
-    jitter = jitter_of(run.clock)
-    if jitter > SETTINGS.jitter:
+    yield from _irregular(run.clock, usual)
+    yield from _dense(usual, mapping)
+    yield from _absent(run, channels)
+
+
+def _irregular(clock: Array, usual: float) -> Iterator[Finding]:
+    """Steps that vary, and whether the times are those of an even clock with too few digits."""
+    jitter = jitter_of(clock)
+    if jitter <= SETTINGS.jitter:
+        return
+    evidence, digits = {"jitter": jitter, "step": usual}, _digits(clock)
+    row = np.arange(len(clock))
+    interval, start = np.polyfit(row, clock, 1)
+    off = float(np.max(np.abs(clock - start - interval * row)))
+    irregular = f"sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%}"
+    if not off < SETTINGS.rounded * digits:
         yield Finding(
             id="jitter",
             severity="note",
-            text=f"sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%} "
-            "(times are used as they are)",
-            evidence={"jitter": jitter, "step": usual},
+            text=f"{irregular} (times are used as they are)",
+            evidence=evidence,
         )
-    yield from _dense(usual, mapping)
-    yield from _absent(run, channels)
+        return
+    yield Finding(
+        id="rounded_times",
+        severity="warning",
+        text=f"times are rounded to {digits:g} s: {irregular}, but rows {interval:.5g} s apart are within "
+        f'{off:.2g} s of them; if the log is that even, write interval = "{interval:.6g} s" under [time] in '
+        "the mapping file, in place of the unit, or else log more digits",
+        evidence=evidence | {"interval": float(interval)},
+        mapping=as_toml([Edit("time", "interval", f"{interval:.6g} s")]),
+    )
+
+
+def _digits(clock: Array) -> float:
+    """Place of the last digit that the times have, s; 0 from a microsecond down."""
+    for place in 10.0 ** np.arange(1, -6, -1):
+        if np.all(np.abs(clock / place - np.round(clock / place)) < SETTINGS.whole_digit):
+            return float(place)
+    return 0.0
 
 
 def jitter_of(clock: Array) -> float:
