@@ -431,6 +431,7 @@ WIND = {
     "wind_speed": 8.0,
     "air_density": 1.2,
     "wind_least": 1e-9,
+    "moment_wind": 0.0,
     "x_wind": 0.3,
     "z_wind": -0.5,
 }
@@ -451,6 +452,16 @@ def test_wind_pushes_on_two_areas(inputs: tuple[str, ...]) -> None:
         force = 0.5 * 1.2 * np.hypot(*air[:2]) * air * [0.2, 0.8, 0.0]
         wind = Stated("wind", WIND | felt, inputs=inputs)
         assert wind(eta, NU) == pytest.approx(pushed(force, np.array([0.3, 0, -0.5])))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 2.0, -1.2])
+def test_wind_turns_the_vessel_by_the_sine_of_twice_its_angle(angle: float) -> None:
+    """Fossen (2021), chapter 10: N = q C_N A L with C_N = c_z sin(2 gamma), gamma = 0 from ahead."""
+    values = {"moment_wind": -0.1 * 0.6 * 2.0, "apparent_wind_speed": 7.0, "apparent_wind_angle": angle}
+    inputs = ("apparent_wind_speed", "apparent_wind_angle")
+    wind = Stated("wind", WIND | {"area_frontal": 0.0, "area_lateral": 0.0} | values, inputs=inputs)
+    moment = 0.5 * 1.2 * 7.0**2 * -0.1 * np.sin(2 * angle) * 0.6 * 2.0
+    assert wind(np.zeros(6), NU) == pytest.approx([0, 0, 0, 0, 0, moment], abs=1e-12)
 
 
 def test_a_file_with_the_former_parameters_of_the_wind_is_still_read(tmp_path: Path) -> None:

@@ -26,13 +26,17 @@ class Wind(Wrench):
     id = "wind"
     family = "water"
     reference = (
-        "Fossen (2021), chapter 10 (wind forces, C_X with the cosine and C_Y with the sine of the angle)"
+        "Fossen (2021), chapter 10 (wind forces, C_X with the cosine and C_Y with the sine of the angle, C_N "
+        "with the sine of twice the angle)"
     )
     former_keys = ("W_N", "W_E", "wind_aspect")
     signature = "a force on surface vessels in a fixed direction over ground, the same at all speeds"
 
     area_frontal = Parameter("m^2", "frontal area times its drag coefficient", (0, inf))
     area_lateral = Parameter("m^2", "lateral area times its drag coefficient", (0, inf))
+    moment_wind = Parameter(
+        "m^3", "yaw moment coefficient (of the sine of twice the angle) times lateral area and length"
+    )
     wind_from = Parameter(
         "rad",
         "wind direction (where it comes from), from north clockwise",
@@ -103,7 +107,10 @@ class Wind(Wrench):
     def wrench(self, s: Signals) -> sm.Matrix:
         pressure = _HALF * self.air_density * self._speed
         ahead, across = pressure * self.area_frontal * _AIR_X, pressure * self.area_lateral * _AIR_Y
-        return sm.Matrix([ahead, across, 0, -self.z_wind * across, self.z_wind * ahead, self.x_wind * across])
+        # q c_z A L sin 2 gamma, with the components of the air along the vessel.
+        turning = self.air_density * self.moment_wind * _AIR_X * _AIR_Y
+        yaw = self.x_wind * across + turning
+        return sm.Matrix([ahead, across, 0, -self.z_wind * across, self.z_wind * ahead, yaw])
 
     @property
     def _speed(self) -> sm.Expr:
