@@ -126,7 +126,8 @@ _ABOUT = {
     "ThrusterTable.direction": "direction of its push, a vector of any length",
     "ThrusterTable.wrench": "force and moment per newton of thrust, instead of position and direction",
     "ThrusterTable.thrust_per_command": "N for one unit of the command",
-    "ThrusterTable.curve": "thrust (N) over command: a file with two columns, or the coefficients of the command, its square and so on",
+    "ThrusterTable.curve": "thrust (N) over command: a file with two columns, or the coefficients of the "
+    "command, its square and so on",
     "ThrusterTable.propeller": "for a command that is a speed of revolution",
     "ThrusterTable.limit": "largest magnitude of the command",
     "ThrusterTable.lowest": "lowest command: 0 for what cannot reverse; default: minus the limit",
