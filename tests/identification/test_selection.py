@@ -323,6 +323,7 @@ def test_of_a_current_both_components_are_estimated() -> None:
         return Candidate(catalogue()[effect], load_vehicle("cybership2")).removable
 
     assert removable("ocean_current") == removable("water_speed_log") == ()
+    assert Candidate(catalogue()["ocean_current"], load_vehicle("cybership2")).sizes == ("V_N", "V_E")
     assert removable("constant_force") == ("X_0", "Y_0", "N_0")
 
 

@@ -159,7 +159,7 @@ def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all
 def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """The candidate with all of its parameters."""
     fit = bench.fit(candidate.model_from(start), start=start)
-    return Trial(candidate, fit, fit, candidate.removable, bench.judge(fit))
+    return Trial(candidate, fit, fit, candidate.sizes, bench.judge(fit))
 
 
 def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:

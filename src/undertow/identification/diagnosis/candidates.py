@@ -79,13 +79,19 @@ class Candidate:
         return not self.parameters and (present or self.vehicle.residual == self.base.residual)
 
     @property
-    def removable(self) -> tuple[str, ...]:
-        """Parameters that may be left out if they turn out to be zero.
+    def sizes(self) -> tuple[str, ...]:
+        """Parameters that make up the effect.
 
         A time constant with gains of the same effect means nothing by itself: the gains decide.
         """
-        sizes = [p for p in self.parameters if p.linear] or self.parameters
-        return tuple(p.name for p in sizes if not p.earth_axis)
+        linear = tuple(p.name for p in self.parameters if p.linear)
+        return linear or tuple(p.name for p in self.parameters)
+
+    @property
+    def removable(self) -> tuple[str, ...]:
+        """Those that may be left out if they turn out to be zero: no part of a horizontal vector."""
+        alone = {p.name for p in self.parameters if not p.earth_axis}
+        return tuple(n for n in self.sizes if n in alone)
 
     def shown_by(self, kept: Collection[str]) -> bool:
         """Whether these parameters of the effect alone, with all others zero, still make up the effect."""

@@ -76,7 +76,7 @@ def try_candidate(
     settings = bench.settings
     enough = settings.rough_step if enough is None else enough
     fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
-    if not np.isfinite(fit.cost):  # a lag much shorter than the time between samples: nothing of it shows
+    if not np.isfinite(fit.cost):
         return rejected(candidate, bench)
     # A candidate that explains much earns a finer noise model than the incomplete model had: under that
     # one its parameters show how well they are known.
@@ -85,10 +85,11 @@ def try_candidate(
     fit = _by_run_if_need_be(candidate, fit, bench, enough)
     matter = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
     # What differs between runs beyond chance is not zero in all of them.
-    kept = tuple(n for n in candidate.removable if n in matter or n in fit.model.values.by_run)
+    gone = {*candidate.removable} - {*matter, *fit.model.values.by_run}
+    kept = tuple(n for n in candidate.sizes if n not in gone)
     if kept and not candidate.shown_by(kept):
         return rejected(candidate, bench)
-    thin = _refit(candidate, fit, kept, enough) if len(kept) < len(candidate.removable) else fit
+    thin = _refit(candidate, fit, kept, enough) if gone else fit
     return Trial(candidate, fit, thin, kept, bench.judge(thin))
 
 
