@@ -5,8 +5,9 @@ INTRODUCTION = """\
 
 Vehicles with one to six degrees of freedom are simulated by a program that shares no code with undertow
 (`benchmarks/hidden_effects`), with something hidden, with nothing hidden, or with something that is in no
-catalogue. The seeds were not used during development. Every number comes with Wilson's 95 % confidence
-interval, and every wrong answer is listed. This page is made by a program.
+catalogue. The seeds were not used during development, except for 12 cases with slow forces (see "How it was
+made"). Every number comes with Wilson's 95 % confidence interval, and every wrong answer is listed. This page
+is made by a program.
 """
 NO_PEERS = "Other methods were not run on these data.\n"
 PEERS = """\
