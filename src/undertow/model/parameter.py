@@ -140,6 +140,11 @@ class Parameter:
         return self.default is not None and self.default != self.neutral
 
     @property
+    def shown_unit(self) -> str:
+        """Unit as it is printed behind a value: empty for a plain number."""
+        return "" if self.unit == "1" else self.unit
+
+    @property
     def must_be_given(self) -> bool:
         """Whether a vehicle file has to state it: neither its default nor its neutral value is possible."""
         low, high = self.bounds

@@ -114,7 +114,7 @@ def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = F
         )
     start = best_start(candidate, setup.bench, [look.values for look in screened])
     first = _tried(candidate, setup.bench, start, keep_all)
-    if candidate.removable and not first.kept:
+    if candidate.sizes and not first.kept:
         # No parameter is clearly other than zero. The validation data have the last word, so all go in.
         keep_all, first = True, _whole(candidate, setup.bench, start)
     # What is judged is weighed by the noise model of the better fit, for both models alike.

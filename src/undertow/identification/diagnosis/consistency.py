@@ -272,11 +272,9 @@ def undetermined(
 def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
     """Parameters with standard error and unit, by name."""
     errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return {p.name: f"{p.name} = {values[p.name]:.3g} ± {errors[p.name]:.2g}{_unit(p)}" for p in own}
-
-
-def _unit(parameter: Parameter) -> str:
-    return "" if parameter.unit == "1" else f" {parameter.unit}"
+    return {
+        p.name: f"{p.name} = {values[p.name]:.3g} ± {errors[p.name]:.2g} {p.shown_unit}".strip() for p in own
+    }
 
 
 def _groups(own: Sequence[Parameter]) -> list[list[str]]:

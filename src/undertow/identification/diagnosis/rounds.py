@@ -82,7 +82,7 @@ def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     worth = _worth_a_fit(screened, bench)
     trials = _tried(worth, bench, report)
     falls = {c.id: _fall(bench.base_score, t.score) for c, t in trials}
-    able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.removable]
+    able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.sizes]
     able.sort(key=lambda trial: trial.score.error)
     bench, finalists = _final(bench, able[: settings.finalists], report)
     behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]

@@ -283,7 +283,7 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
         effect=_owner(vehicle, parameter.name),
         value=printed(parameter, fit.values[name], stated.signs),
         standard_error=_known(fit.standard_errors[name]),
-        unit=_unit(parameter),
+        unit=parameter.shown_unit,
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
         prior_sigma=None if prior is None else prior.sigma,
@@ -300,7 +300,7 @@ def values_by_run(fit: Fitted, stated: Vehicle) -> list[ValuesByRun]:
 def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> ValuesByRun:
     return ValuesByRun(
         parameter=table.parameter,
-        unit=_unit(parameter),
+        unit=parameter.shown_unit,
         values={run: printed(parameter, value, stated.signs) for run, value in table.values.items()},
         standard_errors=table.standard_errors,
         mean=printed(parameter, table.mean, stated.signs),
@@ -312,10 +312,6 @@ def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> Values
 
 def _owner(vehicle: Vehicle, name: str) -> str:
     return next(e.id for e in vehicle.all_effects if any(p.name == name for p in e.parameters))
-
-
-def _unit(parameter: Parameter) -> str:
-    return "" if parameter.unit == "1" else parameter.unit
 
 
 def _known(standard_error: float) -> float | None:

@@ -691,7 +691,7 @@ def _planned(
     verdict = "not determined" if silent else "badly known" if not then < _BADLY * abs(value) else ""
     return PlannedParameter(
         name=name,
-        unit="" if parameter.unit == "1" else parameter.unit,
+        unit=parameter.shown_unit,
         about=parameter.about,
         value=printed(parameter, value, signs),
         error_now=json_ready(now),

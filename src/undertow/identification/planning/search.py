@@ -517,7 +517,7 @@ def _planned_rival(rival: RivalModel, signs: str) -> Rival:
     return Rival(
         name=rival.name,
         values={n: printed(p, vehicle.value_of(n).value, signs) for n, p in declared.items()},
-        units={n: "" if p.unit == "1" else p.unit for n, p in declared.items()},
+        units={n: p.shown_unit for n, p in declared.items()},
         source=rival.source,
     )
 
