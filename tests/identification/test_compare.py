@@ -78,7 +78,7 @@ def test_the_residual_of_the_true_model_is_noise_and_white(complete: Comparison)
 def test_forces_of_the_effects_and_the_residual_add_up_to_nothing(complete: Comparison) -> None:
     forces = complete.forces
     total = sum(forces.wrenches.values()) + forces.missing
-    scale = np.sqrt(np.mean(forces.drive**2, axis=0)) + np.sqrt(np.mean(forces.missing**2, axis=0))
+    scale = np.sqrt(np.mean(forces.control**2, axis=0)) + np.sqrt(np.mean(forces.missing**2, axis=0))
     assert np.all(np.sqrt(np.mean(total**2, axis=0)) < 0.05 * scale)
 
 
@@ -134,8 +134,8 @@ def test_regimes_are_what_their_names_say(complete: Comparison, case: Case) -> N
         forces.pose[found["shallow"].inside[:, 0], 2].max()
         <= forces.pose[found["deep"].inside[:, 0], 2].min()
     )
-    for name, sign in (("thrust positive", 1), ("thrust negative", -1)):
-        assert np.all(sign * forces.drive[found[name].inside] > 0)
+    for name, sign in (("control force positive", 1), ("control force negative", -1)):
+        assert np.all(sign * forces.control[found[name].inside] > 0)
 
 
 def test_a_reversal_is_near_a_change_of_sign(complete: Comparison, case: Case) -> None:

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from scipy.integrate import solve_ivp
 
+from tests.identification.surge import M_X, TRUTH, surge_vehicle
 from undertow.errors import UndertowError
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.logs.mapping import LogMapping, read_mapping
 from undertow.identification.logs.opening import save_log
 from undertow.identification.logs.reading import read_log, stated_disturbance
@@ -114,3 +118,56 @@ def test_a_saved_log_reads_back_with_its_reports_and_the_noise_that_was_stated(t
     assert np.count_nonzero(np.isfinite(again.reports("u"))) == 41
     assert save_log(read_log(tmp_path / "log.csv"), tmp_path / "plain.csv") is None
     assert not (tmp_path / "plain.toml").exists()
+
+
+# --- the position of an actuator, which moves on between samples -------------------------------------
+SLOW = 0.4  # rad/s, of a force that is logged once a second
+
+
+@pytest.fixture(scope="module")
+def moving_force(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The surge experiment with a force 0.4 sin(0.4 t) N: velocity and force once a second, for 100 s."""
+
+    def rates(t: float, u: np.ndarray) -> np.ndarray:
+        drag = TRUTH["X_u"] * u + TRUTH["X_uabsu"] * np.abs(u) * u
+        return np.asarray((0.4 * np.sin(SLOW * t) - drag) / M_X)
+
+    t = np.arange(0.0, 101.0)
+    u = solve_ivp(rates, (0.0, 100.0), [0.0], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    path = tmp_path_factory.mktemp("moving") / "surge.csv"
+    pl.DataFrame({"t": t, "u": u, "force": 0.4 * np.sin(SLOW * t)}).write_csv(path)
+    return path
+
+
+def _drag(path: Path, **column: object) -> float:
+    """Drag at 0.1 m/s, in units of the true one."""
+    mapping = LogMapping.model_validate({"columns": {"u": "u", "force": {"channel": "tau_X", **column}}})
+    vehicle = surge_vehicle()
+    run = read_log(path, mapping, ["tau_X"])
+    found, true = fit_weak(vehicle, prepare([run], vehicle)).values, TRUTH
+    return -(found["X_u"] + 0.1 * found["X_uabsu"]) / (true["X_u"] + 0.1 * true["X_uabsu"])
+
+
+def test_a_force_that_moves_between_samples_gives_the_drag_only_if_the_mapping_says_so(
+    moving_force: Path,
+) -> None:
+    assert _drag(moving_force, interpolate=True) == pytest.approx(1.0, abs=0.02)  # (0.4)^2 / 12 is lost
+    assert abs(_drag(moving_force) - 1.0) > 0.2
+
+
+def test_rows_between_the_samples_of_an_actuator_have_the_mean_of_the_line(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.25)
+    angle = np.where(np.arange(len(t)) % 4 == 0, 2.0 * t, np.nan)
+    table = pl.DataFrame({"t": t, "u": np.sin(t), "angle": angle}, nan_to_null=True)
+    table.write_csv(tmp_path / "log.csv")
+    columns = {"u": "u", "angle": {"channel": "rudder", "interpolate": True}}
+    mapping = LogMapping.model_validate({"columns": columns, "missing_commands": "hold"})
+    run = read_log(tmp_path / "log.csv", mapping, ["rudder"])
+    np.testing.assert_allclose(run.channels["rudder"][:230], 2.0 * (run.t[:230] + 0.125), rtol=1e-12)
+
+
+def test_a_motion_is_never_held_so_that_it_cannot_be_said_to_be_interpolated(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,u\n0,1\n1,2\n2,3\n")
+    mapping = LogMapping.model_validate({"columns": {"u": {"channel": "u", "interpolate": True}}})
+    with pytest.raises(UndertowError, match=r"u is a motion of the vehicle.*remove it"):
+        read_log(tmp_path / "log.csv", mapping)

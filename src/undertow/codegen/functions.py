@@ -164,6 +164,12 @@ class Functions:
         return sum(self.wrenches.values(), ca.SX(len(self.vehicle.dof_indices), 1))
 
     @cached_property
+    def control_force(self) -> ca.SX:
+        """Force of thrusters, propellers, rudders and known forces, from `actuation`, N and N m."""
+        acting = (e.id for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == "actuation")
+        return sum((self.wrenches[i] for i in acting), ca.SX(len(self.vehicle.dof_indices), 1))
+
+    @cached_property
     def mass_matrix(self) -> ca.SX:
         """M = -d(residual)/d(nu_dot)."""
         return -ca.jacobian(self.residual, self.nu_dot)

@@ -21,7 +21,7 @@ from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import Entry, describe
 from undertow.codegen.simulate import longest_step
 from undertow.codegen.spelling import comment, filled, identifier, slug
-from undertow.model.effect import Measurement, Wrench
+from undertow.model.effect import Measurement
 from undertow.model.symbols import FORCE, FORCE_UNITS
 from undertow.model.units import base_exponents
 from undertow.model.vehicle import Vehicle
@@ -175,9 +175,7 @@ class Fmu:
     def _forces(self) -> ca.Function:
         """`tau = forces(x, u, p, t)`: what the actuators give, without what moving water takes from it."""
         f = self._functions
-        acting = {e.id for e in self.vehicle.all_effects if isinstance(e, Wrench) and e.family == "actuation"}
-        total = sum((w for i, w in f.wrenches.items() if i in acting), ca.SX(f.nu.numel(), 1))
-        driven = ca.substitute(total, f.actuation, f.actuator_output)
+        driven = ca.substitute(f.control_force, f.actuation, f.actuator_output)
         still = ca.substitute(driven, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
         return ca.Function("forces", self._inputs, [ca.densify(still)], ["x", "u", "p", "t"], ["tau"])
 

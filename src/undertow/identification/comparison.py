@@ -50,16 +50,10 @@ class Forces:
     velocity: Array
     commands: Array  # (K, n_commands) commands, averaged likewise
     wrenches: dict[str, Array]  # Force of every effect along the measured motion, by effect id, N and N m
+    control: Array  # (K, n) control force: that of thrusters, propellers, rudders and known forces
 
     def __len__(self) -> int:
         return len(self.t)
-
-    @property
-    def drive(self) -> Array:
-        """Force of thrusters, control surfaces and known forces, shape (K, n)."""
-        driving = ("thrusters", "propellers", "control_surfaces", "generalised_force")
-        parts = [self.wrenches[i] for i in driving if i in self.wrenches]
-        return np.asarray(sum(parts, np.zeros_like(self.missing)))
 
 
 def residual_forces(
@@ -143,20 +137,21 @@ class _Evaluation:
         mean = smooth @ motion[:, :, 0]
         rate = -(s.functions.rate @ motion[:, self.size :, 0]) / _weight(s)[:, None]
         columns = [mean, rate, held @ actuation, smooth @ memory, held @ s.u]
-        mass, *values = mapped(self._wrenches, columns, p, s.functions.centre)
+        mass, control, *values = mapped(self._wrenches, columns, p, s.functions.centre)
         measured = smooth @ s.measured
         return mass, {
             "pose": measured[:, : self.size],
             "velocity": measured[:, self.size :],
             "commands": held @ s.u,
             "wrenches": {k: v[:, :, 0] for k, v in zip(self.functions.wrenches, values, strict=True)},
+            "control": control[:, :, 0],
         }
 
     @cached_property
     def _wrenches(self) -> ca.Function:
         f = self.functions
         inputs = [ca.vertcat(f.eta, f.nu), f.nu_dot, f.actuation, f.memory, f.u, f.p, f.t]
-        outputs = [f.mass_matrix, *f.wrenches.values()]
+        outputs = [f.mass_matrix, f.control_force, *f.wrenches.values()]
         return ca.Function("wrenches", inputs, [ca.densify(w) for w in outputs])
 
 
@@ -317,7 +312,7 @@ SETTINGS = ComparisonSettings()
 class Regime:
     """One part of the logs."""
 
-    group: str  # What it is one part of: speed, reversal, turning, depth, thrust, commands, time
+    group: str  # What it is one part of: speed, reversal, turning, depth, control force, commands, time
     name: str
     phrase: str  # How a sentence names it: "when turning"
     inside: Flags  # (K, n) test functions that belong to it, for each degree of freedom
@@ -326,7 +321,7 @@ class Regime:
 def regimes(forces: Forces, vehicle: Vehicle, sigma: Array) -> list[Regime]:
     """All regimes that the vehicle's degrees of freedom and commands distinguish; noise `sigma` (2n,)."""
     size = len(vehicle.dof_indices)
-    parts = [_speeds, _reversal, _turning, _depths, _thrust, _commands, _thirds]
+    parts = [_speeds, _reversal, _turning, _depths, _control_force, _commands, _thirds]
     found = [r for part in parts for r in part(forces, vehicle, sigma)]
     return [
         Regime(g, n, phrase, np.broadcast_to(m if m.ndim == 2 else m[:, None], (len(forces), size)))
@@ -387,12 +382,12 @@ def _depths(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         yield from _bands("depth", ("shallow", "middle", "deep"), phrases, depth)
 
 
-def _thrust(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
-    drive = forces.drive
-    least = SETTINGS.no_command * np.max(np.abs(drive), axis=0, initial=0.0)
-    for name, side in (("positive", drive > least), ("negative", drive < -least)):
+def _control_force(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
+    force = forces.control
+    least = SETTINGS.no_command * np.max(np.abs(force), axis=0, initial=0.0)
+    for name, side in (("positive", force > least), ("negative", force < -least)):
         if side.any():
-            yield "thrust", f"thrust {name}", f"under {name} thrust", side
+            yield "control force", f"control force {name}", f"under {name} control force", side
 
 
 def _commands(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:

@@ -47,6 +47,9 @@ class Column(_Strict):
     off: float | None = None
     wrapped: bool | None = None  # whether to unwrap jumps by a full turn; default: only psi
     optional: bool = False  # whether a log may lack this column
+    # For the measured position of an actuator (rudder angle, shaft speed), which moves on between samples; a
+    # command is held until the next one.
+    interpolate: bool = False
     # For a sensor slower than the log that repeats its values: a column that is not zero in rows with a new
     # sample of this one, or this column itself, if every change of its value is a new sample. Not needed if
     # the cells in between are blank.
@@ -76,6 +79,7 @@ class Channel(_Strict):
     expression: str  # arithmetic in the cells of columns, see `Formula`
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
     delay: str | float = 0.0  # as for a column
+    interpolate: bool = False  # as for a column
     wrapped: bool | None = None  # as for a column
 
     def in_units_of(self, factor: float) -> Channel:

@@ -61,12 +61,14 @@ from .pose_velocity import velocities_from_pose
 from .run import (
     FORCES,
     MEASURABLE,
+    MEASURED,
     UNITS,
     OneClock,
     Run,
     Series,
     are_several,
     in_gaps,
+    interpolated_mean,
     later_than_before,
     on_one_clock,
     unwrapped,
@@ -401,10 +403,12 @@ def _on_rows(
     late = {c.channel: seconds_of(c.delay, f"{where}: delay of column {n!r}") for n, c in sources.items()}
     late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
     slow = any(column.fresh is not None for column in sources.values())
+    moving = _interpolated(sources, mapping, where)
     table = np.abs(list(read.values()))
     unreadable = np.isnan(table).all() or (table > MEASURABLE.largest).any()  # refused by name, later
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
-        return OneClock(t, read, {}, several=False)
+        means = {n: interpolated_mean(t, Series.of(t, read[n], None)) for n in moving}
+        return OneClock(t, read | means, {}, several=False)
     # Where a delay moves reports into a gap of the log, nothing is known of what else happened.
     moved = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
     read |= {n: np.where(lost, np.nan, read[n]) for n, lost in moved.items()}
@@ -413,9 +417,21 @@ def _on_rows(
     for name, column in {**read, **angles}.items():
         stated = noise.get(turned_name(name, mapping.frames.position))
         series[name] = Series.of(t - late[name], column, stated)
-    own = on_one_clock(series, before, t if slow else None)
+    own = on_one_clock(series, before, t if slow else None, moving)
     jumping = {n: read[n] for n, whole in angles.items() if not np.array_equal(whole, read[n], True)}
     return replace(own, wrapped={n: own.in_rows(n, column) for n, column in jumping.items()})
+
+
+def _interpolated(sources: dict[str, Column], mapping: LogMapping, where: str) -> set[str]:
+    """Channels that move on between samples, as the mapping file states."""
+    stated = {c.channel for c in sources.values() if c.interpolate}
+    stated |= {n for n, c in mapping.channels.items() if c.interpolate}
+    for name in sorted(stated & MEASURED):
+        raise UndertowError(
+            f"{where}: interpolate = true is for the measured position of an actuator, but {name} is a "
+            "motion of the vehicle, which is never held between samples: remove it"
+        )
+    return stated
 
 
 def _reported(found: Mapping[str, Flags], mapping: LogMapping) -> dict[str, Flags]:

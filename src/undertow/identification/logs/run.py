@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -375,7 +375,10 @@ def _regularly_blank(t: Array, column: Array) -> bool:
 
 
 def on_one_clock(
-    series: Mapping[str, Series], before: Mapping[str, float], clock: Array | None = None
+    series: Mapping[str, Series],
+    before: Mapping[str, float],
+    clock: Array | None = None,
+    interpolated: Container[str] = (),
 ) -> OneClock:
     """Bring series to common rows: those of the measured channel that reports most often, and few others.
 
@@ -383,7 +386,8 @@ def on_one_clock(
     gets a row. A row without a report of a measured channel has what the curve through the reports says, or
     nothing where these are further apart than usual. All others are held: a row has the mean of what was held
     until the next, so that no row is needed for a command and its impulse is kept; `before` says what was
-    held before the first. Where a `clock` (n,) is given, its rows are the first.
+    held before the first. The channels in `interpolated` move from one report to the next instead. Where a
+    `clock` (n,) is given, its rows are the first.
     """
     some = {n: s for n, s in series.items() if len(s.t)}
     measured = {n: s for n, s in some.items() if n in MEASURED}
@@ -391,7 +395,8 @@ def on_one_clock(
     channels, reported = {}, {}
     for name in series.keys() - measured.keys():
         known = np.nan if name in MEASURED else before.get(name, np.nan)
-        channels[name] = _held(t, series[name], known)
+        one = series[name]
+        channels[name] = interpolated_mean(t, one) if name in interpolated else _held(t, one, known)
     for (name, one), at in zip(measured.items(), places, strict=False):
         there = np.zeros(len(t), dtype=bool)
         there[at] = True
@@ -468,6 +473,22 @@ def _held(t: Array, one: Series, before: float) -> Array:
     held[new] = (until[1][new] - until[0][new]) / np.diff(t)[new]
     old = (at > 0) & (t - times[at] > _longest(one.usual()))
     return np.where(old, np.nan, held)
+
+
+def interpolated_mean(t: Array, one: Series) -> Array:
+    """Mean from each row to the next, times t (n,), of the straight lines between reports.
+
+    NaN outside of them and where reports are lost; the last row has the value there.
+    """
+    if not len(one.t):
+        return np.full(len(t), np.nan)
+    knots = np.union1d(t, one.t)
+    y = np.interp(knots, one.t, one.y)
+    integral = np.append(0.0, np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(knots)))
+    rows = np.searchsorted(knots, t)
+    mean = np.append(np.diff(integral[rows]) / np.diff(t), y[rows[-1]])
+    lost = in_gaps(one.t, t) if len(one.t) > 1 else False
+    return np.where((t < one.t[0]) | (t > one.t[-1]) | lost, np.nan, mean)
 
 
 def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
