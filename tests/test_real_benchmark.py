@@ -18,8 +18,8 @@ from benchmarks.real import peers
 from benchmarks.real.__main__ import main
 from benchmarks.real.cases import Case, plan, without
 from benchmarks.real.injections import INJECTIONS, TOWARDS
-from benchmarks.real.logs import SETS, LogSet, log_sets
-from benchmarks.real.measure import cut_all, worker
+from benchmarks.real.logs import SETS, LogSet, improved, log_sets
+from benchmarks.real.measure import ahead, cut_all, worker
 from benchmarks.real.page import page, why
 from benchmarks.real.tally import Graded, goals, graded, predictions
 from benchmarks.real.unsaid import KNOWN, unsaid_page
@@ -373,3 +373,15 @@ def test_a_compass_error_in_a_real_log_is_never_called_something_else_alone() ->
     assert answer["named"] == [] or "attitude_bias" in {
         e for s in [answer["named"], *answer["sets"]] for e in s
     }
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real logs: ../shared/data is absent")
+def test_a_set_can_have_what_was_found_in_it_in_its_vehicle_file() -> None:
+    logs = SETS["roll-37-38"]
+    (plain, *_), (richer, train, test) = logs.read(DATA), improved(logs).read(DATA)
+    assert {e.id for e in richer.effects} > {e.id for e in plain.effects}
+    windows = cut_all(plain, test, logs.horizons)
+    errors = [ahead(v, test, windows) for v in (plain, richer)]
+    assert train
+    assert errors[1] < errors[0]

@@ -23,13 +23,14 @@ from undertow.errors import UndertowError
 from undertow.files import write_whole
 
 from .cases import KINDS, Case, ablated, plan
-from .logs import LogSet, log_sets
+from .logs import LogSet, improved, log_sets
 from .measure import material, worker
 from .page import page
 from .unsaid import unsaid_page
 
 PROGRAM = "python -m benchmarks.real"
 STORED = Path("benchmarks/results/real.jsonl")
+STORED_IMPROVED = Path("benchmarks/results/real-improved.jsonl")
 ZIGZAGS = """\
 zigzags of the tanker, which nobody may hand on: to make the folder, clone the repository that
 DATA/kvlcc2-hsva/README.md names, run `python DATA/kvlcc2-hsva/convert.py CLONE FOLDER`, copy vehicle.toml and
@@ -73,6 +74,11 @@ def _parser() -> argparse.ArgumentParser:
     doing = commands.add_parser("run", help="diagnose the cases of the plan, one line of JSON for each")
     doing.add_argument("--out", type=Path, default=STORED, metavar="FILE.jsonl", help="default: %(default)s")
     add_run_options(doing)
+    doing.add_argument(
+        "--improved",
+        action="store_true",
+        help=f"with the effects found in the unmodified logs in the vehicle files (for {STORED_IMPROVED})",
+    )
     listing = commands.add_parser("list", help="the cases of the plan")
     doing.add_argument(
         "--keep", type=Path, metavar="FOLDER", help="whole diagnoses as JSON, one file for each"
@@ -94,6 +100,9 @@ def _parser() -> argparse.ArgumentParser:
         add("source", type=Path, nargs="*", default=[STORED], metavar="FILE.jsonl")
         add("--out", type=Path, metavar="FILE.md", help="printed where it is not given")
         add("--before", type=Path, metavar="FILE.jsonl", help="an earlier run, shown beside it")
+    paging.add_argument(
+        "--improved", type=Path, metavar="FILE.jsonl", help=f"a run with --improved ({STORED_IMPROVED})"
+    )
     return parser
 
 
@@ -132,8 +141,12 @@ def _planned(options: argparse.Namespace) -> list[Case]:
 def _run(options: argparse.Namespace) -> int:
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
-    work = worker(_sets(options), options.data, options.keep)
-    return int(run(_planned(options), options.out, work, report=_report, **run_limits(options)) > 0)
+    sets, cases = _sets(options), _planned(options)
+    if options.improved:
+        sets = {name: improved(logs) for name, logs in sets.items() if logs.injections or logs.removals}
+        cases = [c for c in cases if c.logs in sets and c.kind != "prediction"]
+    work = worker(sets, options.data, options.keep)
+    return int(run(cases, options.out, work, report=_report, **run_limits(options)) > 0)
 
 
 def _ablate(options: argparse.Namespace) -> int:
@@ -176,7 +189,8 @@ def _one(options: argparse.Namespace) -> int:
 
 def _page(options: argparse.Namespace) -> int:
     planned = plan(log_sets(Path(), Path()))
-    return _write(page(_stored(options.source), _before(options), planned), options.out)
+    again = _stored([options.improved] if options.improved else [])
+    return _write(page(_stored(options.source), _before(options), planned, again), options.out)
 
 
 def _unsaid(options: argparse.Namespace) -> int:

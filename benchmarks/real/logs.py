@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
 
 from benchmarks.examples import cfd, cse1, kvlcc2, sf30k
 from benchmarks.examples.calls import Judged
 from benchmarks.examples.variants import logs_of, vehicle_of
+from undertow.identification.api import diagnose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
@@ -72,6 +74,26 @@ class LogSet:
         vehicle = vehicle_of(self.what.vehicle)
         train, test = (logs_of(self.what, data / self.folder, vehicle, held=held) for held in (False, True))
         return vehicle, train, test
+
+
+class Improved(LogSet):
+    """A log set whose vehicle file has the effects that are found to improve predictions of its logs."""
+
+    def read(self, data: Path) -> tuple[Vehicle, list[Run], list[Run]]:
+        """The vehicle with these effects, as they are fitted; the logs as they are."""
+        _, train, test = LogSet.read(self, data)
+        return _improved(self.what, self.folder, data), train, test
+
+
+def improved(logs: LogSet) -> LogSet:
+    """The log set with what was found already in its vehicle file."""
+    return Improved(**{f.name: getattr(logs, f.name) for f in fields(logs)})
+
+
+@cache
+def _improved(what: Judged, folder: str, data: Path) -> Vehicle:
+    found = diagnose(*LogSet(what, folder, (1.0, 1.0, 1.0)).read(data))
+    return found.helped or found.after
 
 
 _CSE1 = {"speed": 0.2, "rate": 0.15, "length": 1.1, "command": 0.4, "duration": 700.0, "time": 1.0}

@@ -30,10 +30,16 @@ _GOALS = ("", "measured (95 % interval)", "goal", "")
 _CASE = ("case", "right answers", "size", "error before → with the truth", "rank", "verdict", "named", "s")
 
 
-def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Sequence[Case] = ()) -> str:
+def page(
+    records: Iterable[Record],
+    earlier: Iterable[Record] = (),
+    planned: Sequence[Case] = (),
+    improved: Iterable[Record] = (),
+) -> str:
     """The whole page, Markdown; answers for unmodified logs are shown with those of an earlier run.
 
-    Of cases that are planned, and have no record, it says how many there are.
+    Of cases that are planned, and have no record, it says how many there are. `improved` are the same cases
+    with vehicle files that have what was found in the unmodified logs.
     """
     kept = list(records)
     cases, ahead = graded(kept), predictions(kept, GREY, BLACK)
@@ -53,6 +59,7 @@ def page(records: Iterable[Record], earlier: Iterable[Record] = (), planned: Seq
         INJECTION,
         _by_change(cases),
         _by_logs(cases),
+        _with_improved(list(improved)),
         "## Prediction\n",
         PREDICTION,
         _prediction(ahead),
@@ -156,6 +163,22 @@ def _row(case: Graded) -> list[str]:
     place = str(case.place or MISSING)
     right, verdict = " or ".join(r["truth"]), r["answer"]["verdict"]
     return [f"`{r['id']}`", right, size, change, place, verdict, _named(r), number(r["seconds"])]
+
+
+def _with_improved(records: Sequence[Record]) -> str:
+    """The section on vehicle files that have what was found already; empty if there are no such records."""
+    cases = graded(records)
+    if not cases:
+        return ""
+    return "\n".join(
+        [
+            "## With what was found already in the vehicle file\n",
+            IMPROVED,
+            table(_GOALS, [g.row for g in goals(cases)]),
+            _by_logs(cases),
+            _failures(cases),
+        ]
+    )
 
 
 _GRADES = {"first": "ranked first", "named": "named", "wrong": "wrong cause", "new": "also named"}
@@ -284,6 +307,13 @@ adding the right effect lowers the error of the longest simulation by {100 * WOR
 that count, how often the effect is ranked first, and named alone or in a set of two; of all, how often a
 wrong cause, or also an effect not named for the original log, is named (of the SUB-fighter 30k the place of
 its Doppler log is documented, and counts as neither).
+"""
+IMPROVED = """\
+The logs of most vehicles show that something is missing before anything is injected, so that what is injected
+can at best come second. Here the same changes are made after the effects found in the unmodified logs have
+been added to the vehicle files, named or only improving predictions, as a user would do first. Commands:
+`python -m benchmarks.real run --improved --out FILE`, and the page with `--improved FILE`. The goals are
+those of the page; cases that could not be run in the time are left out in the order of the plan.
 """
 PREDICTION = """\
 All methods are fitted to the same training runs and scored on the same windows of the same runs. In the last

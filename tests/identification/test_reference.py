@@ -12,7 +12,7 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.identification.diagnosis.floors import in_words, noise_floors
-from undertow.identification.diagnosis.reference import is_disturbance, predictable
+from undertow.identification.diagnosis.reference import captured, is_disturbance, predictable
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
@@ -152,3 +152,10 @@ def test_nothing_hides_in_the_noise_of_the_sensors(
         ),
     ]
     assert is_disturbance(found, noisy) == said
+
+
+def test_an_effect_that_leaves_the_forces_as_they_are_is_judged_by_what_is_left_of_them() -> None:
+    """A sensor that is off may improve only predictions: of forces, nothing was missing that it could explain."""
+    for effects, share in (((), 1.0), (("lift",), 0.0)):
+        fit, aside = _ship(*effects)
+        assert captured(fit, fit, fit.data, aside, ("u", "v", "r")) == share

@@ -135,8 +135,9 @@ def captured(
 ) -> float:
     """Fraction explained by an effect of what a flexible function of some variables explains.
 
-    One if the remaining residual does not depend on them. Degrees of freedom are weighted by how much the
-    effect explains in them: other things missing elsewhere do not matter here.
+    One if the remaining residual does not depend on them; less if the effect makes a residual larger and no
+    other one smaller. Degrees of freedom are weighted by how much the effect explains in them: other things
+    missing elsewhere do not matter here.
 
     Parameters
     ----------
@@ -150,14 +151,14 @@ def captured(
     with _one_thread():
         forces, change = _forces(fit, train, test, variables)
         without = ForceRows(base, test)
-        shares, weights = [], []
-        for force in forces:
-            before, after, share = force.square_of(without), force.judged.square, force.share(change)
-            gained = max(before - after, 0.0)
-            lost = share.interval[0] * after
-            shares.append(gained / max(gained + lost, 1e-300))
-            weights.append(gained / max(before, 1e-300))
-    return float(np.average(shares, weights=weights)) if sum(weights) > 0.0 else 0.0
+        before = np.array([force.square_of(without) for force in forces])
+        after = np.array([force.judged.square for force in forces])
+        lost = np.array([force.share(change).interval[0] for force in forces]) * after
+    gained = np.maximum(before - after, 0.0)
+    if not gained.any():
+        return 0.0 if lost.any() else float(np.min(before / np.maximum(after, 1e-300)))
+    shares = gained / np.maximum(gained + lost, 1e-300)
+    return float(np.average(shares, weights=gained / np.maximum(before, 1e-300)))
 
 
 @contextmanager
