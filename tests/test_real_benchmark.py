@@ -25,6 +25,7 @@ from benchmarks.real.tally import Graded, goals, graded, predictions
 from benchmarks.real.unsaid import KNOWN, unsaid_page
 from benchmarks.trust.verdicts import Answer
 from undertow.codegen.simulate import compile as compiled
+from undertow.identification.diagnosis.splitting import training_and_validation
 from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.windows import cut, prediction_error
 from undertow.identification.logs.run import Run
@@ -381,7 +382,7 @@ def test_a_set_can_have_what_was_found_in_it_in_its_vehicle_file() -> None:
     logs = SETS["roll-37-38"]
     (plain, *_), (richer, train, test) = logs.read(DATA), improved(logs).read(DATA)
     assert {e.id for e in richer.effects} > {e.id for e in plain.effects}
-    windows = cut_all(plain, test, logs.horizons)
-    errors = [ahead(v, test, windows) for v in (plain, richer)]
-    assert train
+    _, judged = training_and_validation(plain, train, test)
+    windows = cut_all(plain, judged, logs.horizons)
+    errors = [ahead(v, judged, windows) for v in (plain, richer)]
     assert errors[1] < errors[0]

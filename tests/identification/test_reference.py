@@ -155,7 +155,7 @@ def test_nothing_hides_in_the_noise_of_the_sensors(
 
 
 def test_an_effect_that_leaves_the_forces_as_they_are_is_judged_by_what_is_left_of_them() -> None:
-    """A sensor that is off may improve only predictions: of forces, nothing was missing that it could explain."""
+    """A sensor that is off may improve only predictions: no force was missing that it could explain."""
     for effects, share in (((), 1.0), (("lift",), 0.0)):
         fit, aside = _ship(*effects)
         assert captured(fit, fit, fit.data, aside, ("u", "v", "r")) == share
