@@ -11,14 +11,17 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
+from undertow.identification.diagnosis.bench import noise_in_more_equations
 from undertow.identification.diagnosis.floors import in_words, noise_floors
 from undertow.identification.diagnosis.reference import captured, is_disturbance, predictable
 from undertow.identification.diagnosis.result import Predictability
+from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
-from undertow.model.vehicle import Vehicle
+from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Value, Vehicle
 
 NOISE = 1e-3  # m/s
 STEPS = 20  # of the simulation between samples
@@ -159,3 +162,13 @@ def test_an_effect_that_leaves_the_forces_as_they_are_is_judged_by_what_is_left_
     for effects, share in (((), 1.0), (("lift",), 0.0)):
         fit, aside = _ship(*effects)
         assert captured(fit, fit, fit.data, aside, ("u", "v", "r")) == share
+
+
+def test_the_missing_effect_leaves_noise_in_equations_in_which_the_model_without_it_does_not() -> None:
+    without, aside = _ship("lift")
+    lift = dict.fromkeys(("Y_uv", "N_uv", "Y_ur", "N_ur"), Value(0.0, estimate=True))
+    vehicle = without.model.functions.vehicle.with_effect(catalogue()["lift"], lift)
+    with_it = fit_weak(vehicle, without.data)
+    assert noise_in_more_equations(with_it, without, aside, DEFAULT)
+    assert not noise_in_more_equations(without, with_it, aside, DEFAULT)
+    assert not noise_in_more_equations(with_it, with_it, aside, DEFAULT)

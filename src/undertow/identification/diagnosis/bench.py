@@ -35,7 +35,7 @@ from undertow.identification.estimation.weak_form import (
     with_reestimated_noise,
 )
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .candidates import dominant_frequency
 from .settings import DEFAULT, Settings
@@ -270,6 +270,15 @@ def rows_of(data: WeakData) -> NDArray[np.intp]:
 
 def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT) -> bool:
     """Whether mean squares over so many rows each are those of noise; equations without rows are ignored."""
-    used = rows > 0
-    limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / rows[used])
-    return bool(np.all(ratio[used] <= limit))
+    return not _above_noise(ratio, rows, settings).any()
+
+
+def _above_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings) -> Flags:
+    limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / np.maximum(rows, 1))
+    return np.asarray((ratio > limit) & (rows > 0))
+
+
+def noise_in_more_equations(fit: Fitted, other: Fitted, data: WeakData, settings: Settings) -> bool:
+    """Whether a model leaves only noise in each equation in which another one does, and in some more."""
+    own, others = (_above_noise(noise_ratio(f, data), rows_of(data), settings) for f in (fit, other))
+    return bool(np.all(others[own]) and own.sum() < others.sum())

@@ -13,7 +13,7 @@ from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.typing import Array
 
-from .bench import Bench
+from .bench import Bench, noise_in_more_equations
 from .consistency import (
     SPRING,
     disagreement,
@@ -428,7 +428,14 @@ class Grading:
         standing = [f for f in others if f.id in doubts and _stands(f, doubts[f.id], self._bench)]
         rivals = [f for f in standing if f not in series]
         alike = alternatives(chosen, self.worth[chosen.id], rivals, self._beside, self._settings)
-        return [*series, *alike]
+        return [f for f in (*series, *alike) if not self._leaves_more(f, chosen)]
+
+    def _leaves_more(self, finding: FoundEffect, chosen: FoundEffect) -> bool:
+        """Whether an effect leaves noise alone in fewer equations than one with no more parameters."""
+        if len(finding.trial.kept) < len(chosen.trial.kept):
+            return False
+        fits = chosen.trial.fit, finding.trial.fit
+        return noise_in_more_equations(*fits, self._bench.test, self._settings)
 
     def _closed_where_it_predicts(self, finding: FoundEffect) -> bool:
         """Whether only another fit than the one that predicts leaves a parameter of an effect open."""
