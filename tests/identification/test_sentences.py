@@ -16,6 +16,7 @@ from undertow.identification.diagnosis.result import (
     Dependence,
     Diagnosis,
     Indistinguishable,
+    Predictability,
     Ranked,
     Remaining,
     Role,
@@ -221,6 +222,19 @@ def test_what_is_unexplained_says_where_to_look() -> None:
     assert "undertow effects new turns the residual force into an effect, for sway" in first_sentence(some)
     assert next_command(some, LINE) == "undertow effects new my_force --from found.json"
     assert "&& undertow effects new" in next_command(some, CommandLine())
+
+
+def test_a_residual_that_may_be_a_disturbance_is_not_called_missing() -> None:
+    signal = Predictability(
+        degree_of_freedom="sway", unit="N", averaged_over=1.0, residual_rms=2.0, share=0.1,
+        interval=(0.0, 0.54), significant=False, noise_share=0.2, disturbance_rms=1.6,
+        relative_to_inertia=0.1, variables={},
+    )  # fmt: skip
+    short = first_sentence(_diagnosis("unexplained", predictable=[signal]))
+    assert "do not show if any is missing" in short
+    assert "up to 54% of it in sway may depend on them" in short
+    known = signal.model_copy(update={"significant": True})
+    assert "explains what is missing" in first_sentence(_diagnosis("unexplained", predictable=[known]))
 
 
 def test_a_model_worse_than_none_is_called_so() -> None:

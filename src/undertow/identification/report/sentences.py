@@ -262,7 +262,9 @@ def first_sentence(diagnosis: Diagnosis) -> str:
         "not_identifiable": f"Something is missing, but these logs do not say what: {left}; record a run "
         "with different motions.",
     }
-    unexplained = f"No effect in the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
+    unexplained = _too_short(diagnosis, left) or (
+        f"No effect in the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
+    )
     freed = diagnosis.verdict == "adequate" and diagnosis.freed
     return (
         f"{change}, and nothing else is missing." if freed else sentences.get(diagnosis.verdict, unexplained)
@@ -343,6 +345,20 @@ def _sets(diagnosis: Diagnosis) -> str:
 
 def _terms(diagnosis: Diagnosis) -> bool:
     return any(left.depends_on or left.spectrum for left in diagnosis.remaining)
+
+
+def _too_short(diagnosis: Diagnosis, left: str) -> str:
+    """The first sentence where the residual may be a disturbance alone, as far as these logs show."""
+    found = diagnosis.predictable
+    if not found or any(p.significant for p in found) or _terms(diagnosis):
+        return ""
+    most = max(found, key=lambda p: p.at_most)
+    return (
+        "No effect in the catalogue improves the model, and these logs do not show if any is missing: "
+        f"{left}; the logged signals predict no more of the residual than chance, but up to "
+        f"{most.at_most:.0%} of it in {most.degree_of_freedom} may depend on them: record longer runs, or "
+        "treat it as a disturbance."
+    )
 
 
 def _where_to_look(diagnosis: Diagnosis) -> str:
