@@ -42,7 +42,7 @@ from .diagnosis.result import (
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
 from .diagnosis.selection import Selection
-from .diagnosis.validation import SimulationValidator
+from .diagnosis.validation import Contender, SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
     Judgement,
@@ -441,7 +441,8 @@ def _among_equals(found: Search, validator: SimulationValidator) -> Search:
     for place in range(len(found.rivals)):
         if found.rivals[place]:
             equals = [found.effect_set, *found.rivals[place]]
-            best, *others = validator.surviving([validator.contender(c) for c in equals])
+            contenders = [_contender(found, c, place, validator) for c in equals]
+            best, *others = validator.surviving(contenders)
             ids = {c.findings[place].id for c in (best, *others)}
             dropped = [c for c in equals if c.findings[place].id not in ids]
             chosen = best.findings[place]
@@ -450,6 +451,22 @@ def _among_equals(found: Search, validator: SimulationValidator) -> Search:
             rivals[place] = others
             found = replace(found, effect_set=best, rivals=rivals)
     return found
+
+
+def _contender(found: Search, effect_set: EffectSet, place: int, validator: SimulationValidator) -> Contender:
+    """A set of effects for the short list, with values common to all runs unless these simulate worse.
+
+    That values differ between runs is a finding of the weak form, which large noise biases in each run.
+    """
+    contender, findings = validator.contender(effect_set), list(effect_set.findings)
+    common = findings[place].trial.with_common_values(found.bench)
+    if common is None:
+        return contender
+    findings[place] = replace(findings[place], trial=common)
+    simpler = validator.contender(fitted(found.vehicle, findings, found.bench))
+    fits = simpler.effect_set.fit, effect_set.fit
+    worse = validator.worse_by_rank_test(simpler.squares, contender.squares)
+    return contender if worse or validator.significantly_worse(*fits) else simpler
 
 
 def _with_last_fit(found: Search) -> Search:

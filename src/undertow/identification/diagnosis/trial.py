@@ -68,6 +68,15 @@ class Trial:
         fit = bench.in_all_runs(_refit(self.candidate, self.full, tuple(kept), bench.settings.rough_step))
         return replace(self, fit=fit, kept=tuple(kept), score=bench.judge(fit))
 
+    def with_common_values(self, bench: Bench) -> Trial | None:
+        """The same parameters with one value for all runs; None if none of them has one for each."""
+        own, free = {p.name for p in self.candidate.parameters}, self.fit.model.free
+        if not own & {*self.fit.model.values.by_run}:
+            return None
+        common = tuple(dict.fromkeys(plain(n) if plain(n) in own else n for n in free))
+        fit = bench.fit(self.candidate.model(common), start=self.fit.values)
+        return replace(self, fit=fit, score=bench.judge(fit))
+
 
 def try_candidate(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
