@@ -13,7 +13,12 @@ from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.identification.diagnosis.bench import noise_in_more_equations
 from undertow.identification.diagnosis.floors import in_words, noise_floors
-from undertow.identification.diagnosis.reference import captured, is_disturbance, predictable
+from undertow.identification.diagnosis.reference import (
+    captured,
+    detectable_share,
+    is_disturbance,
+    predictable,
+)
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.estimation.data import WeakData, prepare
@@ -172,3 +177,12 @@ def test_the_missing_effect_leaves_noise_in_equations_in_which_the_model_without
     assert noise_in_more_equations(with_it, without, aside, DEFAULT)
     assert not noise_in_more_equations(without, with_it, aside, DEFAULT)
     assert not noise_in_more_equations(with_it, with_it, aside, DEFAULT)
+
+
+@pytest.mark.parametrize(("blocks", "correlation"), [(5, 0.878), (10, 0.632), (30, 0.361), (102, 0.195)])
+def test_the_least_share_that_can_be_shown_is_that_of_the_critical_correlation(
+    blocks: int, correlation: float
+) -> None:
+    """Two-sided at 5 %, as tables of Pearson's correlation have it."""
+    assert np.sqrt(detectable_share(blocks)) == pytest.approx(correlation, abs=1e-3)
+    assert detectable_share(2) == 1.0

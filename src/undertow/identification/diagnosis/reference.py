@@ -359,13 +359,14 @@ class _Force:
         square = max(judged.square, 1e-300)
         vehicle = self._logs[0].vehicle
         significant = interval[0] > 0.0 and share > SETTINGS.least_share
+        reached = max(interval[1], detectable_share(self._learned_blocks))
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
             averaged_over=self._width * self._logs[1].clock.step,
             residual_rms=float(np.sqrt(judged.square)),
             share=share,
-            interval=interval,
+            interval=(interval[0], reached),
             significant=significant,
             noise_share=min(judged.noise / square, 1.0),
             disturbance_rms=float(np.sqrt(max(left - judged.noise, 0.0))),
@@ -375,9 +376,7 @@ class _Force:
 
     def _share(self, before: Array, after: Array) -> _Share:
         """Share of the mean square that is predicted, with its interval from independent blocks."""
-        judged, log = self.judged, self._logs[1]
-        block = log.clock.blocks(log.rows.data.forgetful(judged.force))[judged.row]
-        number = np.unique(block, return_inverse=True)[1]
+        judged, number = self.judged, _blocks(self.judged, self._logs[1])
         whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
         share = float(np.sum(fall)) / total
@@ -386,6 +385,10 @@ class _Force:
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
         left = min(float(np.mean(before**2)), float(np.mean(after**2)))
         return _Share(middle, (low, high), left)
+
+    @property
+    def _learned_blocks(self) -> int:
+        return 1 + int(_blocks(self.learned, self._logs[0]).max(initial=-1))
 
     def _needed(self) -> dict[str, float]:
         """Share of the mean square that is lost if a signal is taken from another instant."""
@@ -402,6 +405,24 @@ class _Force:
             found[name] = float(lost / judged.square)
         ordered = sorted(found.items(), key=lambda item: -item[1])
         return {name: lost for name, lost in ordered if lost > 0.01}
+
+
+def _blocks(table: _Table, log: _Log) -> Index:
+    """Number of the independent block of time of every row."""
+    block = log.clock.blocks(log.rows.data.forgetful(table.force))[table.row]
+    return np.asarray(np.unique(block, return_inverse=True)[1])
+
+
+def detectable_share(blocks: int) -> float:
+    """Least share of a force that a signal has to explain for its correlation to be significant.
+
+    With fewer than three independent blocks of training data nothing is. A regression that learns nothing
+    from few of them does not show that there is nothing to learn.
+    """
+    if blocks < 3:
+        return 1.0
+    square = float(student.ppf(0.5 + SETTINGS.level / 2, blocks - 2)) ** 2
+    return square / (square + blocks - 2)
 
 
 def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:

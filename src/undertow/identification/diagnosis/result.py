@@ -231,7 +231,9 @@ class Predictability(ResultTable):
     averaged_over: float  # time over which the force is averaged, s
     residual_rms: float  # rms of the averaged force, N or N m
     share: float  # predicted share, beyond what other values of the model's parameters would predict
-    interval: tuple[float, float]  # 95 % interval of `share`, from blocks of the validation data
+    # 95 % interval of `share`, from blocks of the validation data; it ends no lower than the least share that
+    # the training data could show
+    interval: tuple[float, float]
     significant: bool  # whether `share` is significant and large enough to report
     noise_share: float  # share of sensor noise
     disturbance_rms: float  # rms of what nothing explains
