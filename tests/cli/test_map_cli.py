@@ -207,6 +207,12 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("rot_dps", "r", "deg/s"),
         ("ROT", "r", ""),
         ("rpm1", "", "rpm"),
+        ("rot (deg/min)", "r", "deg/min"),
+        ("thrust_kN", "", "kN"),
+        ("Thrust [kN]", "", "kN"),
+        ("torque_kNm", "", "kN m"),
+        ("sog_kn", "", "knot"),
+        ("SOG [kn]", "", "knot"),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -268,6 +274,25 @@ def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
     found = _guessed(**SPEEDS, Vx_body=0.5)
     assert {g.channel: g.column for g in found.columns} == {"u": "Vx_body"}
     assert "velocity" not in found.axes.entry
+
+
+def test_a_last_letter_beside_another_direction_is_a_direction_and_not_a_unit() -> None:
+    found = _guessed(gps_n=5.0, gps_e=4.0, dvl_u=0.4, dvl_v=0.3, force_n=3.0, bus_v=24.0)
+    channels = {g.column: g.channel for g in found.columns}
+    assert {c: channels.get(c, "") for c in ("gps_n", "gps_e", "dvl_u", "dvl_v", "bus_v")} == {
+        **{"gps_n": "x", "gps_e": "y", "dvl_u": "u", "dvl_v": "v", "bus_v": ""}
+    }
+
+
+def test_a_rate_of_turn_may_be_in_degrees_a_minute() -> None:
+    """As the heading has it, or else it is asked."""
+    t = np.arange(0.0, 600.0)
+    heading, rate = 30.0 * np.sin(t / 40.0), 30.0 / 40.0 * 60.0 * np.cos(t / 40.0)
+    table = pl.DataFrame({"t_s": t, "heading": heading % 360.0, "ROT": rate})
+    with_heading, alone = (guess_table(each, Path("own.csv")) for each in (table, table.drop("heading")))
+    (known,), (asked,) = ([g for g in m.columns if g.channel == "r"] for m in (with_heading, alone))
+    assert (known.entry["unit"], known.doubt) == ("deg/min", "")
+    assert "or a minute" in asked.doubt
 
 
 def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path) -> None:

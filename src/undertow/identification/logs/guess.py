@@ -403,6 +403,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     values, doubt, unit = data[name.column], "", name.unit
     if not unit:
         unit, doubt = _unit(channel, values)
+        if unit == "deg/s" and "rot" in name.words:
+            doubt = "degrees a second, or a minute, as in sentences of NMEA 0183?"
     elif name.is_motion_by_unit:
         doubt = f"its unit is that of a velocity: is it {channel}?"
     if unit == "rev/s":
@@ -528,7 +530,7 @@ def _alike(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
 
 
 def _rate_in_si(unit: str) -> float:
-    return 1.0 if unit == "rad/s" else float(np.pi / 180)
+    return scale_offset(unit, "rad/s")[0]
 
 
 def _factor(guess: Guess) -> float:
@@ -565,7 +567,7 @@ def _command(
         entry["unit"], doubt = "N", "no unit in the name: is it in N?"
     elif name.force and name.force == axes.get(command) and not name.unit:
         entry["unit"], doubt = (u := UNITS[name.force]), f"no unit in the name: is it in {u}?"
-    elif name.unit in ("N", "deg", "rad", "V"):
+    elif name.unit in ("N", "kN", "deg", "rad", "V"):
         entry["unit"] = name.unit
     elif name.counts == "rev/s":
         entry["power"] = 2

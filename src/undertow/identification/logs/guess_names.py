@@ -17,14 +17,16 @@ _UNITS = {
     "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
     "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
     "rps": "rev/s", "rev/s": "rev/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s",
-    "n": "N", "nm": "N m", "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
+    "deg min": "deg/min", "deg/min": "deg/min",
+    "n": "N", "nm": "N m", "kilonewton": "kN", "kilonewton m": "kN m",
+    "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
     "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
     "v": "V", "pwm": "pwm",
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
-_SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s"}
+_SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s", "deg/min"}
 # "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
-_NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "m/s^2"}
+_NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "deg/min", "m/s^2"}
 # Units of what is consumed or sensed beside the motion; in brackets alone: "w" is a heave velocity.
 _OF_ELSE = {"w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh"}
 _PLACES = {
@@ -121,7 +123,7 @@ _SENSED = {
 }
 # What a command counts, by the unit of its column, and by words in the name of one that states none.
 _COUNTS = {
-    "N": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
+    "N": "N", "kN": "N", "rev/s": "rev/s", "rpm": "rev/s", "rad/s": "rev/s", "rad": "rad", "deg": "rad",
     "pwm": "command", "%": "command", "us": "command",
 }  # fmt: skip
 _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "n": "rev/s", "angle": "rad", "throttle": "command"}
@@ -157,6 +159,11 @@ def _apart(words: Sequence[str]) -> list[str]:
     return [part for w, m in found for part in (filter(None, m.groups()) if m else (w,))]
 
 
+def _no_knots(text: str) -> str:
+    """The text with kN as a word, for in small letters it is the unit of a speed."""
+    return re.sub("(?<![A-Za-z])kN(?=$|[^A-Za-z]|m)", "kilonewton ", text)
+
+
 @dataclass(frozen=True)
 class Name:
     """A column's name taken apart: words in small letters, and the unit that it states ("" for none)."""
@@ -169,7 +176,7 @@ class Name:
     def of(cls, column: str) -> Name:
         """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
-        rest = column if bracket is None else column.replace(bracket[0], " ")
+        rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
@@ -384,11 +391,16 @@ class Name:
 
 def known_unit(text: str) -> str:
     """The unit that a text in a name or in the cells of a column stands for; "" for none."""
-    return _UNITS.get(text.strip().lower().replace("_", " "), "")
+    return _UNITS.get(" ".join(_no_knots(text).lower().replace("_", " ").split()), "")
 
 
 def with_axes(names: Sequence[Name]) -> list[Name]:
-    """The names, with x, y, z for the numbers of three of a place, a turn or a speed that differ in these."""
+    """The names, with x, y, z for the numbers of three of a place, a turn or a speed that differ in these.
+
+    A last letter n or v is a direction, and not a unit, beside a name that has e or u there.
+    """
+    there = {name.words for name in names}
+    names = [_lettered(name, there) for name in names]
     rows: dict[tuple[str, ...], dict[int, Name]] = {}
     for name in names:
         if name.words and re.fullmatch(r"\d", name.words[-1]) and _OF_VECTOR & {*name.words}:
@@ -400,6 +412,17 @@ def with_axes(names: Sequence[Name]) -> list[Name]:
         for number, axis in zip(sorted(row), "xyz", strict=True)
     }
     return [axes.get(name, name) for name in names]
+
+
+_BESIDE = {"n": "e", "v": "u"}
+
+
+def _lettered(name: Name, there: Container[tuple[str, ...]]) -> Name:
+    """A name such as "gps_n" or "dvl_v", whose last letter could be newtons or volts."""
+    found = re.search("[^A-Za-z0-9]([nv])$", name.column.lower())
+    if found is None or (*name.words, _BESIDE[found[1]]) not in there:
+        return name
+    return replace(name, words=(*name.words, found[1]), unit="")
 
 
 def with_sides(names: Sequence[Name]) -> list[Name]:
