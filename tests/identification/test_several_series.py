@@ -187,6 +187,21 @@ def test_series_in_other_axes_are_the_same_series(
         assert run.sigma[name] == pytest.approx(union[0].sigma[name])
 
 
+def test_a_velocity_over_ground_without_a_heading_beside_it_is_no_report(tmp_path: Path) -> None:
+    """After the last heading its axes are unknown; the noise is that of the other reports."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 40.0, 0.1)
+    rows = np.arange(len(t))
+    heading = np.where((rows % 2 == 0) & (t < 39.0), np.degrees(0.4 * np.sin(t / 5)), np.nan)
+    north, east = np.where(rows % 5 == 1, 0.03 * rng.standard_normal((2, len(t))) + np.sin(t / 7), np.nan)
+    rate = np.where(rows % 2 == 0, 0.08 * np.cos(t / 5), np.nan)
+    motion = {"psi": np.radians(heading), "u": north, "v": east, "r": rate}
+    table = pl.DataFrame({"t": t, **motion, "f1": 0.0 * t})
+    table.with_columns(pl.exclude("t").fill_nan(None)).write_csv(tmp_path / "boat.csv")
+    run = read_log(tmp_path / "boat.csv", LogMapping.model_validate({"frames": {"velocity": "NED"}}))
+    assert np.isfinite(run.channels["u"][run.reported["u"]]).all()
+    assert [run.sigma[n] for n in "uv"] == pytest.approx([0.03, 0.03], rel=0.25)
+
+
 def test_velocities_come_from_the_reports_of_a_slow_pose(dives: list[Dive], tmp_path: Path) -> None:
     path = written(dives[0].table().drop("u", "v", "w", "r"), tmp_path / "pose.parquet")
     run = velocities_from_pose(_read(path), model().degrees_of_freedom)

@@ -303,7 +303,7 @@ def run_of_table(
         name=path.name.split(".")[0],
         t=own.t,
         channels=channels,
-        reported=_reported(own.reported, mapping),
+        reported=_reported(own.reported, mapping, channels),
         wrapped=_turned_angles(own.wrapped, mapping),
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
@@ -434,12 +434,16 @@ def _interpolated(sources: dict[str, Column], mapping: LogMapping, where: str) -
     return stated
 
 
-def _reported(found: Mapping[str, Flags], mapping: LogMapping) -> dict[str, Flags]:
-    """Rows with reports by the names of channels in the axes of undertow."""
+def _reported(found: Mapping[str, Flags], mapping: LogMapping, channels: Channels) -> dict[str, Flags]:
+    """Rows with reports by the names of channels in the axes of undertow.
+
+    A velocity over ground before the first heading, or after the last, says nothing of those along the body.
+    """
     reported = {turned_name(n, mapping.frames.position): there for n, there in found.items()}
     linear = [n for n in VELOCITY[:3] if n in reported]
     if mapping.frames.velocity != "body" and linear:  # each is made of all three
-        all_three = np.logical_and.reduce([reported[n] for n in linear])
+        known = [np.isfinite(channels[n]) for n in linear]
+        all_three = np.logical_and.reduce([*(reported[n] for n in linear), *known])
         reported |= {n: all_three for n in linear}
     return reported
 
