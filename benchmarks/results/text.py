@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from undertow.identification.diagnosis.floors import in_words
+from undertow.identification.diagnosis.floors import predictable_in_words
 from undertow.identification.diagnosis.result import Diagnosis, Estimate
 
 MISSING = "–"
@@ -74,7 +74,9 @@ def remaining_of(found: Diagnosis) -> dict[str, Any]:
     ahead = list(within_runs(found.last_step.ahead).values())
     return {
         "remaining": [left.summary or f"{left.degree_of_freedom}: {left.note}" for left in found.remaining],
-        "predictable": in_words(ahead[-1], found.predictable) if ahead and found.predictable else "",
+        "predictable": predictable_in_words(ahead[-1], found.predictable)
+        if ahead and found.predictable
+        else "",
         "tell": [s.separated_by for s in found.indistinguishable if s.separated_by],
         "warnings": found.warnings,
     }

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from benchmarks.results.text import table
 from undertow.identification.diagnose import diagnose
-from undertow.identification.diagnosis.settings import About, Settings
+from undertow.identification.diagnosis.settings import Settings, Threshold
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
@@ -198,7 +198,7 @@ def ablation_page(records: Iterable[Record]) -> str:
     return "".join([*parts, *(["\n## Answers that changed\n\n", *changed] if changed else [])])
 
 
-def _row(name: str, about: About, records: Sequence[Record]) -> list[str]:
+def _row(name: str, about: Threshold, records: Sequence[Record]) -> list[str]:
     value, unit = getattr(Settings(), name), "" if about.unit == "1" else f" {about.unit}"
     off = "–" if about.off is None else f"{about.off:g}"
     pairs = _pairs(name, records)

@@ -15,22 +15,22 @@ from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.associations import (
     SETTINGS,
     STEP,
-    Along,
     Association,
     Difference,
     Sample,
     Samples,
     Series,
     Term,
+    Trajectory,
     coefficient_unit,
     difference,
     highest_peak,
-    steps_of,
+    step_terms,
     terms_of,
     without_waves,
 )
-from undertow.identification.diagnosis.force_rows import ForceRows, sliding
-from undertow.identification.diagnosis.residual import how, remaining, sentence, unknown_to
+from undertow.identification.diagnosis.force_rows import ForceRows, sliding_sums
+from undertow.identification.diagnosis.residual import effect_on_motion, remaining, sentence, unrelated_to
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
 from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.estimation.data import WeakData, prepare
@@ -207,7 +207,7 @@ def test_thrust_that_is_lost_suddenly_is_told_from_one_that_fades(monkeypatch: p
     assert any("command" in factor for factor in dependence.columns[0])
     # Thrust that fades knows the time and all commands, and no step.
     own = {"t", *vehicle.velocity_names, *vehicle.command_names}
-    assert [r.depends_on for r in unknown_to(own, left, vehicle)] == [[dependence]]
+    assert [r.depends_on for r in unrelated_to(own, left, vehicle)] == [[dependence]]
 
 
 def test_a_complete_model_shows_nothing() -> None:
@@ -295,7 +295,7 @@ def test_what_is_taken_out_does_not_come_back() -> None:
     second = rest.strongest()
     assert second is not None
     assert {first.term.label, second.term.label} == {"first", "pair"}
-    assert rest.samples.validation.square == pytest.approx(start.samples.validation.square - first.gain)
+    assert rest.samples.validation.square == pytest.approx(start.samples.validation.square - first.fall)
     assert rest.without(second).samples.validation.square < 1.2 * 400
 
 
@@ -327,7 +327,7 @@ def test_a_line_is_found_although_every_run_has_its_phase() -> None:
     assert peak is not None
     assert 1 / peak.frequency == pytest.approx(1 / 0.21, rel=0.02)
     assert peak.chance < 1e-6
-    assert peak.gain == pytest.approx(0.5 * 240, rel=0.3)
+    assert peak.excess == pytest.approx(0.5 * 240, rel=0.3)
 
 
 def test_noise_has_no_line() -> None:
@@ -433,7 +433,7 @@ def test_terms_are_made_of_what_the_vehicle_has() -> None:
 
 @pytest.mark.parametrize("first", [0.0, -50.0, 1.7e9])
 def test_steps_lie_evenly_within_the_logs(first: float) -> None:
-    found = [STEP.fullmatch(t.columns[0][0]) for t in steps_of(first + np.arange(0.0, 100.0, 0.5))]
+    found = [STEP.fullmatch(t.columns[0][0]) for t in step_terms(first + np.arange(0.0, 100.0, 0.5))]
     times = np.array([float(m[1]) for m in found if m is not None])
     assert len(times) == len(found) >= SETTINGS.step_times - 1
     assert first < times[0]
@@ -461,16 +461,16 @@ def test_units_of_coefficients(column: tuple[str, ...], unit: str) -> None:
 
 
 def test_columns_along_a_log() -> None:
-    along = Along(
+    trajectory = Trajectory(
         {"u": np.array([1.0, -2.0]), "psi": np.array([0.0, np.pi / 4]), "t": np.array([0.0, 3.0])},
         {"f1": np.array([-2.0, 2.0]), "f2": np.array([5.0, 1.0])},
     )
-    assert along.smooth(("|u|", "u")).tolist() == [1.0, -4.0]
-    assert along.smooth(("sin(2 psi)", "t")) == pytest.approx([0.0, 3.0])
-    assert along.smooth(()).tolist() == [1.0, 1.0]
-    assert along.smooth(("step(t - 2.5)",)).tolist() == [0.0, 1.0]
-    assert along.held(("|command f1|", "u", "command f2")).tolist() == [10.0, 2.0]
-    assert along.held(("u",)) is None
+    assert trajectory.motion_product(("|u|", "u")).tolist() == [1.0, -4.0]
+    assert trajectory.motion_product(("sin(2 psi)", "t")) == pytest.approx([0.0, 3.0])
+    assert trajectory.motion_product(()).tolist() == [1.0, 1.0]
+    assert trajectory.motion_product(("step(t - 2.5)",)).tolist() == [0.0, 1.0]
+    assert trajectory.command_product(("|command f1|", "u", "command f2")).tolist() == [10.0, 2.0]
+    assert trajectory.command_product(("u",)) is None
 
 
 def _reported(columns: list[list[str]], coefficients: list[float], term: str) -> Dependence:
@@ -502,7 +502,7 @@ def _reported(columns: list[list[str]], coefficients: list[float], term: str) ->
 )
 def test_what_a_term_does(columns: list[list[str]], coefficients: list[float], words: str) -> None:
     reported = _reported(columns, coefficients, "term")
-    assert words in how(reported, "surge", "N")
+    assert words in effect_on_motion(reported, "surge", "N")
 
 
 def test_a_sentence_holds_all_that_was_found() -> None:
@@ -518,12 +518,12 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         spectrum=Spectrum(period=6.3, amplitude=0.2, share=0.1, chance=1e-6, in_step=False),
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
-    assert sentence(left, loud=True) == (
+    assert sentence(left, above_noise=True) == (
         "surge: 0.81 N rms remains above the noise; 71 % of it correlates with |r| u or |v| u or u^2 (slows "
         "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, with a "
         "different phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
-    assert sentence(left, loud=False) == "surge: 0.9 N rms remains, which is noise"
+    assert sentence(left, above_noise=False) == "surge: 0.9 N rms remains, which is noise"
 
 
 # --- other logs --------------------------------------------------------------------------------------
@@ -561,5 +561,5 @@ def test_stretches_kept_aside() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_a_segment_shorter_than_the_average_has_none(count: int) -> None:
-    assert sliding(count, 6).shape == (0, count)
-    assert sliding(6, 6).toarray() == pytest.approx(np.ones((1, 6)))
+    assert sliding_sums(count, 6).shape == (0, count)
+    assert sliding_sums(6, 6).toarray() == pytest.approx(np.ones((1, 6)))

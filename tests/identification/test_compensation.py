@@ -13,7 +13,7 @@ from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
 from undertow.identification.diagnosis.trial import screen, try_candidate
-from undertow.identification.diagnosis.verdict import Relief, absorbing
+from undertow.identification.diagnosis.verdict import ImprovedModel, compensation_warnings
 from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -25,7 +25,7 @@ MASS, ADDED, DRAG, BUOYANCY = 10.0, 8.0, 6.0, 3.0
 
 @dataclass(frozen=True)
 class Fit:
-    """What `absorbing` needs of a fit."""
+    """What `compensation_warnings` needs of a fit."""
 
     vehicle: Vehicle
     values: dict[str, float]
@@ -84,18 +84,18 @@ def _bench() -> Bench:
     return open_bench(vehicle, train, prepare([_descent(3)], vehicle, sigma=train.sigma))
 
 
-def _relief(effect: str) -> tuple[Relief, float]:
+def _relief(effect: str) -> tuple[ImprovedModel, float]:
     candidate = Candidate(catalogue()[effect], _float())
     trial = try_candidate(candidate, _bench(), screen(candidate, _bench())[0].values)
     chance = compare_scores(_bench().base_score, trial.score, _bench().test).p_value
-    return Relief((effect,), trial.fit.values, trial.score.error), chance
+    return ImprovedModel((effect,), trial.fit.values, trial.score.error), chance
 
 
 def test_drag_that_absorbs_buoyancy_is_reported_with_what_brings_it_back() -> None:
     helpers = [_relief(e) for e in ("net_buoyancy", "constant_force")]
     assert all(chance < 1e-3 for _, chance in helpers)
     base = _bench().base
-    lines = absorbing(_float(), base, [helper for helper, _ in helpers])
+    lines = compensation_warnings(_float(), base, [helper for helper, _ in helpers])
     line = next(x for x in lines if "Z_w " in x)
     ratio = base.values["Z_w"] / (-1.05 * DRAG)
     assert ratio > 1.8
@@ -105,7 +105,7 @@ def test_drag_that_absorbs_buoyancy_is_reported_with_what_brings_it_back() -> No
 
 
 def test_no_effect_is_named_where_none_is_held_to_be_there() -> None:
-    lines = absorbing(_float(), _bench().base, [])
+    lines = compensation_warnings(_float(), _bench().base, [])
     doubt = "either the prior is wrong, or it compensates for something that is missing"
     assert lines
     assert all(line.endswith(doubt) and "absorbing" not in line for line in lines)
@@ -113,7 +113,7 @@ def test_no_effect_is_named_where_none_is_held_to_be_there() -> None:
 
 def test_an_effect_that_does_not_bring_it_back_is_not_named() -> None:
     helper, _ = _relief("quadratic_damping")
-    lines = absorbing(_float(), _bench().base, [helper])
+    lines = compensation_warnings(_float(), _bench().base, [helper])
     assert not any("quadratic_damping" in line for line in lines if "Z_w " in line)
 
 
@@ -124,14 +124,14 @@ def test_an_effect_that_does_not_bring_it_back_is_not_named() -> None:
 def test_a_value_that_an_effect_brings_down_to_nothing_has_not_come_back(after: float, *, back: bool) -> None:
     """Sixteen times its prior, and with a thruster that gives nothing a hundredth of it."""
     vehicle = _float()
-    helper = Relief(("thruster_gain",), {"Z_wdot": -ADDED * after}, 1.0)
-    line = absorbing(vehicle, _fit(vehicle, Z_wdot=-16 * ADDED), [helper])[0]
+    helper = ImprovedModel(("thruster_gain",), {"Z_wdot": -ADDED * after}, 1.0)
+    line = compensation_warnings(vehicle, _fit(vehicle, Z_wdot=-16 * ADDED), [helper])[0]
     assert ("it is absorbing thruster_gain" in line) == back
 
 
 def test_a_parameter_near_its_prior_is_not_told() -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
-    assert absorbing(box, _fit(box, X_u=-6.0), []) == []
+    assert compensation_warnings(box, _fit(box, X_u=-6.0), []) == []
 
 
 @pytest.mark.parametrize(("value", "reported"), [(-10.0, False), (-14.0, False), (-16.0, True), (-1.5, True)])
@@ -139,46 +139,46 @@ def test_a_value_stated_without_a_deviation_is_reported_from_three_times_on(
     value: float, reported: bool
 ) -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
-    lines = absorbing(box, _fit(box, X_u=value), [])
+    lines = compensation_warnings(box, _fit(box, X_u=value), [])
     assert bool(lines) is reported
     assert not reported or f"is {value / -5:.3g} times its stated value (no standard deviation is" in lines[0]
     # Where the data hardly tell, it may have gone anywhere.
     loose = replace(_fit(box, X_u=value), standard_errors={"X_u": 4.0})
-    assert absorbing(box, loose, []) == []
+    assert compensation_warnings(box, loose, []) == []
 
 
 def test_what_the_data_cannot_tell_from_a_changed_parameter_is_said_beside_it() -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
-    (line,) = absorbing(box, _fit(box, X_u=-15.0), [], {"X_u": ["tether_drag"]})
+    (line,) = compensation_warnings(box, _fit(box, X_u=-15.0), [], {"X_u": ["tether_drag"]})
     assert line.endswith("either the prior is wrong, or it compensates for tether_drag")
 
 
 def test_only_leading_effects_can_be_what_is_absorbed() -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
-    good, poor = Relief(("lift",), {"X_u": -15.0}, 1.0), Relief(("waves",), {"X_u": -5.0}, 2.0)
-    (line,) = absorbing(box, _fit(box, X_u=-15.0), [good, poor])
+    good, poor = ImprovedModel(("lift",), {"X_u": -15.0}, 1.0), ImprovedModel(("waves",), {"X_u": -5.0}, 2.0)
+    (line,) = compensation_warnings(box, _fit(box, X_u=-15.0), [good, poor])
     assert "X_u is 3 times its prior (10.0 standard deviations)" in line
     assert "waves" not in line
-    pair = Relief(("lift", "waves"), {"X_u": -5.25}, 0.5)
-    (line,) = absorbing(box, _fit(box, X_u=-15.0), [good, poor, pair])
+    pair = ImprovedModel(("lift", "waves"), {"X_u": -5.25}, 0.5)
+    (line,) = compensation_warnings(box, _fit(box, X_u=-15.0), [good, poor, pair])
     assert "it is absorbing lift and waves; with lift and waves it returns to 1.05 times" in line
 
 
 def test_a_parameter_pushed_onto_its_bound_is_reported_even_without_a_prior() -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
-    (line,) = absorbing(box, _fit(box, X_u=0.0), [])
+    (line,) = compensation_warnings(box, _fit(box, X_u=0.0), [])
     assert "X_u is at its bound 0, 500.0 standard deviations from -5" in line
 
 
 def test_a_bound_within_the_error_is_no_alarm() -> None:
     box = _box(X_u=Value(-5.0, estimate=True))
     fit = replace(_fit(box, X_u=0.0), standard_errors={"X_u": 4.0})
-    assert absorbing(box, fit, []) == []
+    assert compensation_warnings(box, fit, []) == []
 
 
 def test_a_prior_of_zero_has_no_ratio() -> None:
     box = _box(X_u=Value(0.0, estimate=True, sigma=0.5))
-    (line,) = absorbing(box, _fit(box, X_u=-4.0), [Relief(("lift",), {"X_u": -0.1}, 1.0)])
+    (line,) = compensation_warnings(box, _fit(box, X_u=-4.0), [ImprovedModel(("lift",), {"X_u": -0.1}, 1.0)])
     assert "X_u is -4 with a prior of 0 (8.0 standard deviations)" in line
     assert line.endswith("with lift it returns to -0.1")
 
@@ -186,11 +186,15 @@ def test_a_prior_of_zero_has_no_ratio() -> None:
 def test_a_refit_that_no_vehicle_can_be_is_reported() -> None:
     auv = load_vehicle("mini-auv")
     impossible = _fit(auv, m=-40.0)
-    assert any("the refitted vehicle is impossible" in line for line in absorbing(auv, impossible, []))
+    assert any(
+        "the refitted vehicle is impossible" in line for line in compensation_warnings(auv, impossible, [])
+    )
 
 
-@pytest.mark.parametrize("helper", [Relief(("lift",), {}, 1.0), Relief(("lift",), {"X_u": -11.0}, 1.0)])
-def test_a_parameter_that_hardly_comes_back_is_not_absorbed(helper: Relief) -> None:
+@pytest.mark.parametrize(
+    "helper", [ImprovedModel(("lift",), {}, 1.0), ImprovedModel(("lift",), {"X_u": -11.0}, 1.0)]
+)
+def test_a_parameter_that_hardly_comes_back_is_not_absorbed(helper: ImprovedModel) -> None:
     box = _box(X_u=Value(-5.0, estimate=True, sigma=1.0))
-    (line,) = absorbing(box, _fit(box, X_u=-15.0), [helper])
+    (line,) = compensation_warnings(box, _fit(box, X_u=-15.0), [helper])
     assert "lift" not in line

@@ -15,9 +15,9 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Bench, open_bench
-from undertow.identification.diagnosis.consistency import Kept, kept_beside
+from undertow.identification.diagnosis.consistency import Kept, kept_with
 from undertow.identification.diagnosis.evidence import FoundEffect, reconciles_sensors
-from undertow.identification.diagnosis.residual import remaining, unknown_to
+from undertow.identification.diagnosis.residual import remaining, unrelated_to
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
@@ -47,12 +47,12 @@ class _Tried(NamedTuple):
         """Size and gain of the effect beside a force made of what else remains, as shares of those alone."""
         vehicle, train = self.bench.base.model.functions.vehicle, self.bench.train
         base = self.validator.final(self.bench.base)[0]
-        left = unknown_to({"u", "v"}, remaining(base, train, train), vehicle)
+        left = unrelated_to({"u", "v"}, remaining(base, train, train), vehicle)
         effect = effect_of(left, 50.0)
         assert effect.about().startswith("a force that varies with")
         other = try_all(self.bench, {effect.id: effect}, lambda done, words: None).findings[0]
         assert other.explained > 0.15
-        return kept_beside(self.finding, other, base, self.bench, self.validator)
+        return kept_with(self.finding, other, base, self.bench, self.validator)
 
 
 @cache

@@ -199,7 +199,7 @@ def test_a_time_constant_is_kept_with_its_gains() -> None:
 def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> None:
     candidate = Candidate(catalogue()["dry_friction"], load_vehicle("box-hull"))
     assert {p.name for p in candidate.parameters} == {"X_signu", "friction_speed"}
-    there = candidate.adopted({"X_signu": -1.0})
+    there = candidate.vehicle_with({"X_signu": -1.0})
     assert Candidate(catalogue()["dry_friction"], there).parameters == ()
     assert there.value_of("friction_speed").value == 0.02
 

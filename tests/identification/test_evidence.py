@@ -17,18 +17,18 @@ from undertow.identification.diagnosis.bench import Bench, comparable_mean_squar
 from undertow.identification.diagnosis.candidates import Candidate, candidates, possible, possible_in
 from undertow.identification.diagnosis.evidence import (
     Blocks,
-    Chance,
     Comparison,
     FoundEffect,
-    Linear,
+    Linearisation,
+    NullDistributions,
     fitted,
-    in_its_place,
     inclusion,
     null_distribution,
     p_value,
     rank_p_value,
-    thinned,
+    reduced_to_same_force,
     with_longer_blocks,
+    without_redundant_effects,
 )
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
@@ -45,7 +45,7 @@ _ROWS, _PER_BLOCK = 600, 20
 _INERTIA = ("added_mass", "added_mass_coriolis")
 
 
-def _candidates(rng: np.random.Generator, sizes: list[float]) -> list[Linear]:
+def _candidates(rng: np.random.Generator, sizes: list[float]) -> list[Linearisation]:
     """Candidates of two columns beside two of the model; `size` times the first is in the residual."""
     base, r = rng.standard_normal((2 * _ROWS, 2)), rng.standard_normal(2 * _ROWS)
     own = [rng.standard_normal((2 * _ROWS, 2)) for _ in sizes]
@@ -57,11 +57,11 @@ def _candidates(rng: np.random.Generator, sizes: list[float]) -> list[Linear]:
         J = np.hstack([base, columns])
         halves = (slice(0, _ROWS), slice(_ROWS, 2 * _ROWS))
         train, test = (Blocks.of(J[h], np.zeros(_ROWS), r[h], block) for h in halves)
-        found.append(Linear(train, test, 2, np.zeros(4)))
+        found.append(Linearisation(train, test, 2, np.zeros(4)))
     return found
 
 
-def _observed(candidate: Linear) -> float:
+def _observed(candidate: Linearisation) -> float:
     ones = [np.ones((1, b.count)) for b in (candidate.train, candidate.test)]
     return float(candidate.falls(*ones)[0])
 
@@ -116,7 +116,7 @@ def test_falls_of_blocks_left_out_are_those_of_models_fitted_to_all_others() -> 
     expected = [
         left(block == b, J[:, :2], r, prior[:2]) - left(block == b, J, r + shift, prior) for b in range(6)
     ]
-    assert Linear(*tables, 2, prior).left_out() == pytest.approx(np.array(expected))
+    assert Linearisation(*tables, 2, prior).left_out_falls() == pytest.approx(np.array(expected))
 
 
 @cache
@@ -176,14 +176,14 @@ def _chance_of_slow(rng: np.random.Generator, size: float, *, longer: bool) -> f
             Blocks.of(own[i][:, [k]], np.zeros(len(d.time)), r[i], d.block)
             for i, d in enumerate((train, test))
         )
-        found.append(Linear(*tables, 1, np.zeros(1)))
+        found.append(Linearisation(*tables, 1, np.zeros(1)))
     falls = [_observed(c) for c in found]
     best = int(np.argmax(falls))
     x = own[0][:, best]
     change = (x @ r[0]) / (x @ x) * x
     score = ((r[0] - change) * change).reshape(-1, len(train.rows)).sum(axis=1)
     times = round(train.forgetful(score) / train.block_seconds)
-    return Chance(found, bench).p_value(falls[best], max(1, times) if longer else 1)
+    return NullDistributions(found, bench).p_value(falls[best], max(1, times) if longer else 1)
 
 
 def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
@@ -212,8 +212,8 @@ def _by_rank(rng: np.random.Generator, memory: float, size: float) -> float:
         Blocks.of(np.ones((len(d.time), 1)), np.zeros(len(d.time)), y, d.block)
         for d, y in zip((train, test), r, strict=True)
     )
-    force = with_longer_blocks(Linear(*tables, 1, np.zeros(1)), times, bench)
-    return rank_p_value(force.left_out())
+    force = with_longer_blocks(Linearisation(*tables, 1, np.zeros(1)), times, bench)
+    return rank_p_value(force.left_out_falls())
 
 
 @pytest.mark.parametrize(("memory", "level"), [(1.0, 1e-3), (5.0, 1e-3), (20.0, 1e-2)])
@@ -319,11 +319,11 @@ def test_without_a_pose_beside_it_no_velocity_is_blamed_for_its_scale() -> None:
     model, runs = vehicle_of(case), runs_of(case)
     bare = [replace(r, channels={k: v for k, v in r.channels.items() if k not in "xy"}) for r in runs]
     missing = prepare(bare, model)
-    assert (missing.derived_names, missing.unchecked_names) == ((), ("u", "v"))
+    assert (missing.derived_names, missing.names_without_pose) == ((), ("u", "v"))
     listed = {c.id: {p.name for p in c.parameters} for c in possible_in(missing, model, catalogue())}
     assert listed["sensor_scale"] == {"scale_rate"}
     assert listed["sensor_bias"] == {"b_u", "b_v", "b_r"}
-    assert prepare(runs, model).unchecked_names == ()
+    assert prepare(runs, model).names_without_pose == ()
 
 
 def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
@@ -334,7 +334,7 @@ def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
     memory = Candidate(catalogue()["radiation_memory"], model)
     # As slow as a log is long: its unknown first state could pass for a constant force.
     slow = bench.fit(memory.model(()), start={"T_memory": 40.0, "X_memu": -20.0, "N_memr": -5.0})
-    won = bench.judge(slow).r - bench.base_score.r
+    won = bench.score(slow).r - bench.base_score.r
     assert np.linalg.norm(won) > 1.0
     first = 0
     for part, whitening in zip(slow.model.linearise(bench.test, slow.p), bench.test_whitening, strict=True):
@@ -346,7 +346,7 @@ def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
         np.testing.assert_allclose(felt.T @ here, 0.0, atol=1e-8 * size)
 
     # What is left of both models without it is what each leaves when the first states are projected out.
-    before, after = comparable_mean_squares(bench.base_score, bench.judge(slow), bench.test)
+    before, after = comparable_mean_squares(bench.base_score, bench.score(slow), bench.test)
     alone = whitened(slow.model.linearise(bench.test, slow.p), bench.test_whitening).r
     np.testing.assert_allclose(after, mean_square(alone, bench.test), rtol=1e-9)
     assert np.nansum(before) < np.nansum(bench.base_score.mean_square)
@@ -361,7 +361,7 @@ def test_a_lag_far_below_the_time_between_samples_leaves_the_model_as_it_is() ->
     lag = Candidate(catalogue()["thruster_lag"], vehicle)
     (name,) = (p.name for p in lag.parameters)
     stiff, slow = ({**bench.base.values, name: value} for value in (0.01, 3.0))
-    fit = bench.fit(lag.model_from(stiff), start=stiff, enough=0.1)
+    fit = bench.fit(lag.model_from(stiff), start=stiff, tolerance=0.1)
     assert fit.cost == pytest.approx(bench.base.cost, rel=2e-3)
     assert best_start(lag, bench, [stiff, slow], 0.1)[name] > 0.1
 
@@ -377,12 +377,12 @@ def test_terms_that_give_the_force_of_another_effect_are_tried_alone() -> None:
     trials = (try_candidate(candidate, bench, bench.base.values) for candidate in tried)
     trim, steady, coupling = (FoundEffect(trial, *_NO_EVIDENCE) for trial in trials)
     whole = replace(steady, trial=replace(steady.trial, fit=steady.trial.full))  # with all of its six terms
-    alone = in_its_place(whole, trim, bench)
+    alone = reduced_to_same_force(whole, trim, bench)
     assert alone is not None
     assert set(alone.parameters) <= {"K_0", "M_0"}
     before, by_trim, by_force = (s.error for s in (bench.base_score, trim.trial.score, alone.trial.score))
     assert before - by_force > 0.75 * (before - by_trim)
-    assert in_its_place(coupling, trim, bench) is None
+    assert reduced_to_same_force(coupling, trim, bench) is None
 
 
 _NO_EVIDENCE = (Comparison(0.0, (0.0, 0.0), 1.0), 0.0, 1.0, False)
@@ -434,4 +434,7 @@ def test_an_effect_leaves_with_the_one_whose_parameters_it_shares() -> None:
     assert [f.id for f in both.findings] == ["added_mass", "radiation_memory"]
     assert both.score.error < with_mass.score.error
     assert fitted(bare, [memory], bench).findings == ()
-    assert [f.id for f in thinned(bare, both, bench).findings] == ["added_mass", "radiation_memory"]
+    assert [f.id for f in without_redundant_effects(bare, both, bench).findings] == [
+        "added_mass",
+        "radiation_memory",
+    ]

@@ -157,7 +157,7 @@ def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
     fit = try_candidate(_candidate("quadratic_damping"), bench, {}).fit
     candidates = [SimpleNamespace(parameters=range(n)) for n in (6, 1)]
     free, plain = (
-        EffectSet((SimpleNamespace(trial=SimpleNamespace(candidate=c)),), replace(fit), bench.judge(fit))
+        EffectSet((SimpleNamespace(trial=SimpleNamespace(candidate=c)),), replace(fit), bench.score(fit))
         for c in candidates
     )
     worse = EffectSet((), bench.base, bench.base_score)

@@ -39,7 +39,7 @@ def _of(effect: type[Effect], case: Case) -> Trial:
     candidate = Candidate(effect, vehicle)
     start = best_start(candidate, bench, [look.values for look in screen(candidate, bench)])
     first = try_candidate(candidate, bench, start)
-    return try_candidate(candidate, bench.sharpened(first.full), first.full.values)
+    return try_candidate(candidate, bench.with_noise_model_of(first.full), first.full.values)
 
 
 def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:

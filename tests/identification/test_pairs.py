@@ -10,7 +10,7 @@ import pytest
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
-from undertow.identification.diagnosis.search import only_one_in_evidence
+from undertow.identification.diagnosis.search import unique_significant_pair
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.model.catalogue import catalogue
 
@@ -48,7 +48,7 @@ def test_a_pair_is_named_where_it_alone_leaves_only_noise(
     sizes: list[float], base: float, named: int | None
 ) -> None:
     tried = [_pair(i, size) for i, size in enumerate(sizes)]
-    found = only_one_in_evidence(tried, _bench(base), 190, lambda fit, data: fit < 1.1)
+    found = unique_significant_pair(tried, _bench(base), 190, lambda fit, data: fit < 1.1)
     assert (None if found is None else found.pair) == named
 
 

@@ -127,7 +127,7 @@ def test_final_fits_of_other_processes_are_those_of_this_one(
     data, heard = prepare(train, vehicle), list[tuple[int, int]]()
     weak = [fit_weak(vehicle, data, names) for names in (None, free_parameters(vehicle)[:-1])]
     there, here = (SimulationValidator(vehicle, train, [test], data.sigma) for _ in range(2))
-    there.finish(weak, lambda *done: heard.append(done))
+    there.compute_final_fits(weak, lambda *done: heard.append(done))
     assert heard == [(1, 2), (2, 2)]
     with monkeypatch.context() as context:  # none is made again
         context.setattr("undertow.identification.diagnosis.validation.final_fit", None)

@@ -12,12 +12,12 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.identification.diagnosis.bench import noise_in_more_equations
-from undertow.identification.diagnosis.floors import in_words, noise_floors
-from undertow.identification.diagnosis.reference import (
-    captured,
+from undertow.identification.diagnosis.floors import noise_floors, predictable_in_words
+from undertow.identification.diagnosis.predictability import (
     detectable_share,
     is_disturbance,
     predictable,
+    share_of_predictable,
 )
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.diagnosis.settings import DEFAULT
@@ -117,13 +117,13 @@ def test_noise_is_no_disturbance_and_what_is_stated_is_shown() -> None:
 def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
     left = _predictability("surge", share=0.2, interval=(0.1, 0.31), significant=True)
     noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), significant=False)
-    assert in_words(0.44, [left, noise]) == (
+    assert predictable_in_words(0.44, [left, noise]) == (
         "an error of 44 % remains; of that at most 31 % in surge can be predicted from the logged signals; "
         "the rest is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
     )
-    pinned = in_words(0.44, [noise], ["N_rdot"])
+    pinned = predictable_in_words(0.44, [noise], ["N_rdot"])
     assert pinned.endswith("disturbance, or what drove N_rdot to a physical limit: 0.4 N rms in yaw")
-    alone = in_words(0.44, [noise])
+    alone = predictable_in_words(0.44, [noise])
     assert alone.startswith("an error of 44 % remains; the logged signals predict no more")
 
 
@@ -166,7 +166,7 @@ def test_an_effect_that_leaves_the_forces_as_they_are_is_judged_by_what_is_left_
     """A sensor that is off may improve only predictions: no force was missing that it could explain."""
     for effects, share in (((), 1.0), (("lift",), 0.0)):
         fit, aside = _ship(*effects)
-        assert captured(fit, fit, fit.data, aside, ("u", "v", "r")) == share
+        assert share_of_predictable(fit, fit, fit.data, aside, ("u", "v", "r")) == share
 
 
 def test_the_missing_effect_leaves_noise_in_equations_in_which_the_model_without_it_does_not() -> None:

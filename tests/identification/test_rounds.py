@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from undertow.identification.diagnosis.evidence import FoundEffect, as_good, too_quick_to_tell
+from undertow.identification.diagnosis.evidence import FoundEffect, as_good, too_fast_to_distinguish
 from undertow.identification.diagnosis.rounds import far_behind
-from undertow.identification.diagnosis.search import much_plainer, possible_rivals
+from undertow.identification.diagnosis.search import much_simpler, possible_rivals
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Wrench
@@ -74,9 +74,9 @@ def test_within_a_fraction_of_a_sample_a_lag_is_a_dead_time(
     data = SimpleNamespace(segments=[SimpleNamespace(t=np.arange(100) / 20.0)])
     bench = SimpleNamespace(test=data, settings=DEFAULT)
     one, other = found("actuation_delay", delay, 0.95), found("thruster_lag", lag, explained)
-    assert too_quick_to_tell(one, other, bench) is alike  # type: ignore[arg-type]
-    assert too_quick_to_tell(other, one, bench) is alike  # type: ignore[arg-type]
-    assert not too_quick_to_tell(one, found("thruster_gain", 0.01, 0.95), bench)  # type: ignore[arg-type]
+    assert too_fast_to_distinguish(one, other, bench) is alike  # type: ignore[arg-type]
+    assert too_fast_to_distinguish(other, one, bench) is alike  # type: ignore[arg-type]
+    assert not too_fast_to_distinguish(one, found("thruster_gain", 0.01, 0.95), bench)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("parameters", "expected"), [(3, ["trim"]), (6, [])])
@@ -84,7 +84,7 @@ def test_a_plain_effect_is_looked_at_again_beside_one_with_many_parameters(
     parameters: int, expected: list[str]
 ) -> None:
     tether, trim = _effect("tether", 8, 1.06), _effect("trim", parameters, 1.1)
-    assert [f.id for f in much_plainer(tether, 1.06, [tether, trim])] == expected
+    assert [f.id for f in much_simpler(tether, 1.06, [tether, trim])] == expected
 
 
 @pytest.mark.parametrize(("size", "expected"), [(1.0, True), (3.0, False)])

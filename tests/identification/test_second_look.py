@@ -11,9 +11,9 @@ from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, only_noise, open_bench
 from undertow.identification.diagnosis.evidence import (
-    a_little_more_than_noise,
     explains_all,
     hidden_by_disturbance,
+    slightly_above_noise,
 )
 from undertow.identification.diagnosis.search import search
 from undertow.identification.estimation.data import prepare
@@ -91,4 +91,4 @@ def test_the_truth_explains_all_and_the_model_as_it_was_nothing() -> None:
 def test_when_it_is_worth_a_second_look(disturbance: float, left: float, expected: bool) -> None:
     """Not without a disturbance, not where noise is all there is, not where the model is far off."""
     ratio, rows = np.array([1.0, left]), np.array([400, 400])
-    assert a_little_more_than_noise(np.array([disturbance]), ratio, rows) is expected
+    assert slightly_above_noise(np.array([disturbance]), ratio, rows) is expected

@@ -1,4 +1,4 @@
-"""What an effect is worth to predictions, and whether it says the same everywhere."""
+"""The gain of predictions by an effect, and its size over all parts of the logs."""
 
 from __future__ import annotations
 
@@ -12,24 +12,29 @@ import pytest
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.candidates import Candidate, possible
 from undertow.identification.diagnosis.consistency import (
-    Agreement,
+    SizeByPart,
     own_variables,
     undetermined,
     vanished_inertia,
-    without_size,
+    with_effect_zero,
 )
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.grading import (
     Graded,
-    alternatives,
+    added_mass_doubt,
     dominated,
-    open_in_a_fit,
-    without_inertia,
+    substitutes,
+    undetermined_by_fits,
 )
-from undertow.identification.diagnosis.selection import Selection, merged, rivals_beside_later
+from undertow.identification.diagnosis.prediction_gain import (
+    PredictionGain,
+    best_in_resamples,
+    gain_of_effects,
+    improved_velocities,
+)
+from undertow.identification.diagnosis.selection import Selection, merged, without_rivals_found_later
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.validation import SimulationValidator
-from undertow.identification.diagnosis.worth import Worth, best_in_resamples, explained_motions, gained
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.weak_form import fit_weak
@@ -41,29 +46,29 @@ from undertow.typing import Array
 def test_motions_that_an_effect_explains() -> None:
     before = {1.0: np.full((20, 3), 0.04), 10.0: np.full((20, 3), 0.25)}
     after = {1.0: before[1.0] * [0.25, 0.25, 1.0], 10.0: before[10.0] * [0.25, 0.9, 1.5]}
-    assert explained_motions(before, after, 0.1) == [0]
+    assert improved_velocities(before, after, 0.1) == [0]
 
 
-def test_worth_is_the_fall_of_the_error_over_each_horizon() -> None:
+def test_prediction_gain_is_the_fall_of_the_error_over_each_horizon() -> None:
     before = {1.0: np.full((20, 2), 0.04), 10.0: np.full((20, 2), 0.25)}
     after = {1.0: before[1.0] * [1.0, 0.81], 10.0: before[10.0] * [1.0, 0.25]}
-    worth = Worth.of(before, after)
-    assert worth.falls[1.0] == pytest.approx(1.0 - 0.9**0.5)
-    assert worth.falls[10.0] == pytest.approx(1.0 - 0.5**0.5)
-    assert worth.largest[10.0] == pytest.approx(0.5)
-    assert worth.worse == ()
-    assert worth.enough(0.4)
-    assert not worth.enough(0.6)
+    gain = PredictionGain.of(before, after)
+    assert gain.falls[1.0] == pytest.approx(1.0 - 0.9**0.5)
+    assert gain.falls[10.0] == pytest.approx(1.0 - 0.5**0.5)
+    assert gain.largest[10.0] == pytest.approx(0.5)
+    assert gain.worse == ()
+    assert gain.suffices(0.4)
+    assert not gain.suffices(0.6)
 
 
 def test_what_makes_predictions_over_any_horizon_worse_is_not_worth_adding() -> None:
     rng = np.random.default_rng(1)
     before = {h: rng.uniform(0.5, 1.5, (30, 3)) for h in (1.0, 4.0, 16.0)}
     after = {1.0: before[1.0] * 1.2, 4.0: before[4.0] * 0.3, 16.0: before[16.0] * 0.3}
-    worth = Worth.of(before, after)
-    assert worth.worse == (1.0,)
-    assert worth.something(0.1)
-    assert not worth.enough(0.1)
+    gain = PredictionGain.of(before, after)
+    assert gain.worse == (1.0,)
+    assert gain.helps(0.1)
+    assert not gain.suffices(0.1)
 
 
 @pytest.mark.parametrize(
@@ -74,15 +79,15 @@ def test_what_makes_predictions_worse_is_no_error_of_a_sensor_either(
     falls: tuple[float, float], worse: tuple[float, ...], *, harms: bool
 ) -> None:
     by_horizon = dict(zip((4.0, 17.0), falls, strict=True))
-    assert Worth(by_horizon, by_horizon, worse).harms(DEFAULT.worth) is harms
+    assert PredictionGain(by_horizon, by_horizon, worse).harms(DEFAULT.worth) is harms
 
 
 def test_what_is_lacking_is_said_of_the_horizon_that_it_lacks() -> None:
     falls, largest = {1.0: 0.1, 4.0: -0.03, 16.0: 0.2}, {1.0: 0.2, 4.0: 0.3, 16.0: 0.45}
-    words = Worth(falls, largest, ()).lacking(0.1)
+    words = PredictionGain(falls, largest, ()).shortfall(0.1)
     assert words == "increases the prediction error over 4 s by 3%"
-    assert Worth({**falls, 4.0: 0.01}, largest, ()).lacking(0.1) == ""
-    little = Worth({**falls, 4.0: 0.01}, dict.fromkeys(falls, 0.05), ()).lacking(0.1)
+    assert PredictionGain({**falls, 4.0: 0.01}, largest, ()).shortfall(0.1) == ""
+    little = PredictionGain({**falls, 4.0: 0.01}, dict.fromkeys(falls, 0.05), ()).shortfall(0.1)
     assert little == "reduces the error of no velocity over 16 s by 10% (5% at most)"
 
 
@@ -91,42 +96,44 @@ def test_a_gain_that_hangs_on_a_few_windows_is_not_worth_adding() -> None:
     before = {h: rng.uniform(0.5, 1.5, (8, 2)) for h in (1.0, 4.0, 16.0)}
     some = np.ones((8, 1))
     some[0] = 0.1  # in one window alone the error falls, but for a little
-    lucky = Worth.of(before, {h: squares * np.where(some < 1, some, 1.02) for h, squares in before.items()})
+    lucky = PredictionGain.of(
+        before, {h: squares * np.where(some < 1, some, 1.02) for h, squares in before.items()}
+    )
     assert lucky.largest[16.0] > 0.05
     assert lucky.falls[16.0] > 0.0
-    assert not lucky.enough(0.05)
-    assert "of the resamples" in lucky.lacking(0.05)
-    steady = Worth.of(before, {h: squares * 0.8 for h, squares in before.items()})
+    assert not lucky.suffices(0.05)
+    assert "of the resamples" in lucky.shortfall(0.05)
+    steady = PredictionGain.of(before, {h: squares * 0.8 for h, squares in before.items()})
     assert steady.better[0] == 1.0
-    assert steady.enough(0.05)
+    assert steady.suffices(0.05)
 
 
 def _effect(name: str) -> FoundEffect:
     return cast(FoundEffect, SimpleNamespace(id=name))
 
 
-def _gain(fall: float) -> Worth:
-    return Worth({1.0: fall, 5.0: fall}, {1.0: fall, 5.0: fall}, ())
+def _gain(fall: float) -> PredictionGain:
+    return PredictionGain({1.0: fall, 5.0: fall}, {1.0: fall, 5.0: fall}, ())
 
 
 @pytest.mark.parametrize(
-    ("clearly", "worth", "doubted"), [(0.95, 0.0, True), (0.95, 0.4, False), (0.6, 0.0, False)]
+    ("clearly", "gain", "doubted"), [(0.95, 0.0, True), (0.95, 0.4, False), (0.6, 0.0, False)]
 )
 def test_what_is_worth_nothing_beside_a_better_effect_in_doubt_is_not_established(
-    clearly: float, worth: float, *, doubted: bool
+    clearly: float, gain: float, *, doubted: bool
 ) -> None:
     """Of two effects as good, a doubt about the one does not speak against the other."""
     best, other = map(_effect, ("best", "other"))
-    assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: _gain(worth))) is doubted
+    assert bool(dominated(best, [other], lambda *_: clearly, lambda *_: _gain(gain))) is doubted
 
 
 def test_an_alternative_takes_over_what_an_effect_gains() -> None:
     """One beside which it gains as much as alone explains something else."""
     chosen, *rivals = map(_effect, ("chosen", "same", "other"))
     beside = {"same": _gain(0.2), "other": _gain(0.7)}
-    found = alternatives(chosen, _gain(0.8), rivals, lambda first, _: beside[first.id])
+    found = substitutes(chosen, _gain(0.8), rivals, lambda first, _: beside[first.id])
     assert found == rivals[:1]
-    assert _gain(0.5).gain == pytest.approx(np.log(2.0))
+    assert _gain(0.5).log_fall == pytest.approx(np.log(2.0))
 
 
 @pytest.mark.parametrize(("doubt", "left"), [("", ["drag"]), ("varies", ["buoyancy", "force", "drag"])])
@@ -137,7 +144,7 @@ def test_what_is_needed_beside_an_effect_is_no_rival_of_it(doubt: str, left: lis
         return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
 
     angle = graded("angle", "buoyancy", "force", "drag")
-    first, second = rivals_beside_later([angle, graded("buoyancy", "force", doubt=doubt)])
+    first, second = without_rivals_found_later([angle, graded("buoyancy", "force", doubt=doubt)])
     assert [r.id for r in first.rivals] == left
     assert [r.id for r in second.rivals] == ["force"]
 
@@ -157,8 +164,8 @@ def test_an_effect_that_is_found_in_two_parts_is_one() -> None:
 
 
 def test_runs_as_short_as_the_shortest_horizon_have_that_one_only() -> None:
-    assert Worth({2.0: 0.3}, {2.0: 0.4}, ()).enough(0.1)
-    assert "over 2 s by 30%" in Worth({2.0: -0.3}, {2.0: 0.4}, ()).lacking(0.1)
+    assert PredictionGain({2.0: 0.3}, {2.0: 0.4}, ()).suffices(0.1)
+    assert "over 2 s by 30%" in PredictionGain({2.0: -0.3}, {2.0: 0.4}, ()).shortfall(0.1)
 
 
 def test_resamples_share_the_lead_between_candidates_that_differ_by_chance_only() -> None:
@@ -177,14 +184,14 @@ def test_spread_between_parts_is_recovered(spread: float) -> None:
     rng = np.random.default_rng(3)
     error = rng.uniform(0.02, 0.1, 2000)
     value = 1.0 + spread * rng.standard_normal(2000) + error * rng.standard_normal(2000)
-    found = Agreement("runs", value, error)
+    found = SizeByPart("runs", value, error)
     assert found.spread == pytest.approx(spread, abs=0.02)
     assert bool(found.doubt()) is (spread > DEFAULT.size_spread)
 
 
 def test_parts_that_are_hardly_known_do_not_speak_against_an_effect() -> None:
-    assert Agreement("runs", np.array([0.5, 1.6, 1.0]), np.array([0.45, 0.45, 0.1])).doubt() == ""
-    assert "5% to 160%" in Agreement("runs", np.array([0.05, 1.6, 1.0]), np.full(3, 0.1)).doubt()
+    assert SizeByPart("runs", np.array([0.5, 1.6, 1.0]), np.array([0.45, 0.45, 0.1])).doubt() == ""
+    assert "5% to 160%" in SizeByPart("runs", np.array([0.05, 1.6, 1.0]), np.full(3, 0.1)).doubt()
 
 
 def test_variables_of_an_effect_are_those_of_its_equations() -> None:
@@ -245,8 +252,8 @@ def test_an_alternative_is_excluded_only_by_the_fit_that_predicts(
     candidate = SimpleNamespace(effect=catalogue()["thruster_deadband"])
     trial = SimpleNamespace(candidate=candidate, fit=fit(*weak))
     finding = cast(FoundEffect, SimpleNamespace(trial=trial))
-    assert (not open_in_a_fit(finding, fit(*predicts))) is established
-    assert (not open_in_a_fit(finding, fit(*predicts), alternative=True)) is alternative
+    assert (not undetermined_by_fits(finding, fit(*predicts))) is established
+    assert (not undetermined_by_fits(finding, fit(*predicts), alternative=True)) is alternative
 
 
 @pytest.mark.parametrize("name", ["X_udot", "X_udot_forward"])
@@ -267,8 +274,8 @@ def test_added_mass_that_falls_to_zero_beside_an_effect_is_seen(
 @pytest.mark.parametrize("alone", [0.4, 0.02])
 def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(alone: float) -> None:
     """A current in the log of a simulator without added mass, and a thrust that only trades against it."""
-    words = without_inertia(
-        ["Y_vdot"], Worth(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
+    words = added_mass_doubt(
+        ["Y_vdot"], PredictionGain(falls={1.0: alone, 8.0: alone}, largest={1.0: alone, 8.0: alone}, worse=())
     )
     assert words == (
         "" if alone > 0.1 else "with it, Y_vdot would be zero, which is unphysical for added mass"
@@ -289,7 +296,7 @@ def test_a_fit_with_an_effect_set_to_zero_is_the_vehicle_without_it() -> None:
     candidate = Candidate(catalogue()["constant_force"], vehicle)
     fit = fit_weak(candidate.model(), data)
     finding = cast(FoundEffect, SimpleNamespace(trial=SimpleNamespace(candidate=candidate)))
-    without = without_size(finding, fit)
+    without = with_effect_zero(finding, fit)
     assert without is not None
     assert without.values == fit.values | {"X_0": 0.0}
     plain = fit_weak(vehicle, data, [n for n in fit.model.free if n != "X_0"])
@@ -351,9 +358,9 @@ def test_sensors_are_compared_by_the_pose_and_forces_by_the_velocities() -> None
         settings=DEFAULT, velocities=lambda squares: {h: each[:, :3] for h, each in squares.items()}
     )
     sensor, force = (cast(FoundEffect, SimpleNamespace(of_sensors=own)) for own in (True, False))
-    assert gained(before, after, [sensor], validator).largest[16.0] == pytest.approx(0.5)
-    assert gained(before, after, [force], validator).largest[16.0] == 0.0
-    assert gained(before, after, [force, sensor], validator).enough(DEFAULT.worth)
+    assert gain_of_effects(before, after, [sensor], validator).largest[16.0] == pytest.approx(0.5)
+    assert gain_of_effects(before, after, [force], validator).largest[16.0] == 0.0
+    assert gain_of_effects(before, after, [force, sensor], validator).suffices(DEFAULT.worth)
 
 
 def test_effects_in_doubt_come_after_the_others() -> None:

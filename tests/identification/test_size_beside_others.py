@@ -5,7 +5,7 @@ from pathlib import Path
 import undertow as ut
 from benchmarks.real.cases import without
 from undertow.identification.diagnosis.bench import open_bench
-from undertow.identification.diagnosis.consistency import disagreement
+from undertow.identification.diagnosis.consistency import size_inconsistency
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.estimation.data import prepare
 from undertow.model.catalogue import catalogue
@@ -29,5 +29,5 @@ def test_what_else_is_missing_moves_the_size_of_an_effect() -> None:
     known = {name: catalogue()[name] for name in ("entrained_water", "ocean_current")}
     found = {f.id: f for f in try_all(bench, known, lambda done, words: None).findings}
     mass, current = found["entrained_water"], found["ocean_current"]
-    assert "its size would have to vary from" in disagreement(mass, bench)
-    assert disagreement(mass, bench, [mass, current]) == ""
+    assert "its size would have to vary from" in size_inconsistency(mass, bench)
+    assert size_inconsistency(mass, bench, [mass, current]) == ""

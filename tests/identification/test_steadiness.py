@@ -11,7 +11,11 @@ import pytest
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
 from undertow.identification.diagnosis.bench import open_bench
-from undertow.identification.diagnosis.consistency import agreements, never_turned, no_step
+from undertow.identification.diagnosis.consistency import (
+    constant_heading,
+    sizes_by_part,
+    step_wider_than_motion,
+)
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.estimation.data import prepare
@@ -35,7 +39,7 @@ def _doubts(begin: float, seed: int) -> dict[str, str]:
     bench = open_bench(vehicle, train, prepare(runs[1:], vehicle, sigma=train.sigma))
     constant = {"constant_force": catalogue()["constant_force"]}
     current = try_all(bench.without_disturbance(), constant, lambda done, words: None)
-    return {a.over: a.doubt(DEFAULT) for a in agreements(current.findings[0], current.bench)}
+    return {a.division: a.doubt(DEFAULT) for a in sizes_by_part(current.findings[0], current.bench)}
 
 
 @pytest.mark.parametrize("seed", first_quick(range(4)))
@@ -60,7 +64,7 @@ def test_friction_that_is_not_there_at_the_speeds_of_the_log_is_none(rate: float
     candidate = SimpleNamespace(effect=catalogue()["dry_friction"])
     finding = SimpleNamespace(trial=SimpleNamespace(fit=fit, candidate=candidate))
     data = SimpleNamespace(names=("x", "psi", "u", "r"), segments=[SimpleNamespace(measured=motion)])
-    said = no_step(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]
+    said = step_wider_than_motion(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]
     assert said.startswith(words)
     assert bool(said) == bool(words)
 
@@ -76,4 +80,4 @@ def test_a_current_of_each_run_needs_a_run_that_turns(free: tuple[str, ...], *, 
     finding = SimpleNamespace(of_sensors=False, trial=trial)
     data = (SimpleNamespace(runs=runs[:1]), SimpleNamespace(runs=runs[1:]))
     bench = SimpleNamespace(train=data[0], test=data[1], settings=DEFAULT)
-    assert (never_turned(finding, bench) == "") is told  # type: ignore[arg-type]
+    assert (constant_heading(finding, bench) == "") is told  # type: ignore[arg-type]

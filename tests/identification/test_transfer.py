@@ -12,8 +12,8 @@ from tests.identification.surge import surge_vehicle
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.validation import (
     SimulationValidator,
+    refitted_within_errors,
     simulates_to_noise,
-    within_errors,
 )
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
@@ -52,7 +52,7 @@ def test_parameters_move_to_where_both_data_together_have_them() -> None:
     fit = _fit()
     shooting, starts = _fast(0.0)
     assert not simulates_to_noise(shooting, fit.p, starts)
-    found = within_errors(fit, shooting, starts)
+    found = refitted_within_errors(fit, shooting, starts)
     assert found is not None
     assert simulates_to_noise(shooting, *found)
     both = fit_output_error(surge_vehicle(), [_run(SLOW, 1), _run(FAST, 2)], horizon=DEFAULT.long_windows)
@@ -65,7 +65,7 @@ def test_parameters_move_to_where_both_data_together_have_them() -> None:
 
 def test_a_drag_that_the_fit_rules_out_is_no_error_of_its_parameters() -> None:
     shooting, starts = _fast(3.0)
-    assert within_errors(_fit(), shooting, starts) is None
+    assert refitted_within_errors(_fit(), shooting, starts) is None
 
 
 @pytest.mark.parametrize(("more_drag", "noise"), [(0.0, True), (3.0, False)])

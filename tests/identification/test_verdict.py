@@ -12,7 +12,7 @@ from undertow.identification.diagnosis.settings import DEFAULT
 
 # Private: by its input each of these rules would take a search of its own.
 # Private: sentences for remainders and winners that no log here has.
-from undertow.identification.diagnosis.verdict import Remainder, _doubt, _named, error_of_sensors
+from undertow.identification.diagnosis.verdict import Remainder, _doubt, _headline, error_of_sensors
 from undertow.model.catalogue import catalogue
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
@@ -38,14 +38,14 @@ def test_what_stands_against_naming(share: float, left: Remainder, doubt: str) -
 def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     winners = [SimpleNamespace(id=i) for i in TWO]
     alike = [Indistinguishable(effects=["actuation_delay", "thruster_lag"], reason="")]
-    both = _named(winners, alike, 0.99, True)
+    both = _headline(winners, alike, 0.99, True)
     assert both.startswith(
         "Missing: lift. In addition, these data cannot tell which is missing: actuation_delay or "
         "thruster_lag."
     )
-    alone = _named(winners[1:], alike, 0.99, True)
+    alone = _headline(winners[1:], alike, 0.99, True)
     assert alone.startswith("These data cannot tell which is missing: actuation_delay or thruster_lag.")
-    assert _named(winners, [], 0.93, False) == (
+    assert _headline(winners, [], 0.93, False) == (
         "Missing: lift and actuation_delay; together they explain 93% of the excess over noise."
     )
 

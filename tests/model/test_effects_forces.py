@@ -269,9 +269,9 @@ def test_compressibility_conserves_energy() -> None:
 def test_constant_part_alone_is_no_compressibility() -> None:
     base = vehicle(("surge", "heave"), "rigid_body", m=5.0)
     (found,) = candidates(base, {"hull_compressibility": catalogue()["hull_compressibility"]})
-    assert found.shown_by(("B_depth", "B_surface"))
-    assert found.shown_by(("B_depth",))
-    assert not found.shown_by(("B_surface",))
+    assert found.made_up_by(("B_depth", "B_surface"))
+    assert found.made_up_by(("B_depth",))
+    assert not found.made_up_by(("B_surface",))
 
 
 # --- boundaries -----------------------------------------------------------------------------------

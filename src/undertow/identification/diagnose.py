@@ -25,7 +25,7 @@ from undertow.typing import Array, Progress
 
 from .comparison import compare
 from .diagnosis.bench import noise_ratio
-from .diagnosis.grading import found_beside
+from .diagnosis.grading import doubt_of_companion
 from .diagnosis.parallel import in_background, one_thread
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
@@ -94,14 +94,20 @@ def _confirmed(
     if place is not None:
         rest = selection.without(ordered.graded[place])
         return _confirmed(vehicle, found, validator, known, rest)
-    worth = builder.worth()
+    gains = builder.gains()
     least = builder.settings.worth
-    lacking = next((g for g, w in zip(ordered.graded, worth, strict=True) if not w.enough(least)), None)
-    if lacking is not None:
-        beside = "" if lacking.doubt else selection.doubted_before(lacking)
-        rest = selection.doubting(lacking, found_beside(beside)) if beside else selection.without(lacking)
+    insufficient = next(
+        (g for g, gain in zip(ordered.graded, gains, strict=True) if not gain.suffices(least)), None
+    )
+    if insufficient is not None:
+        beside = "" if insufficient.doubt else selection.doubted_before(insufficient)
+        rest = (
+            selection.with_doubt(insufficient, doubt_of_companion(beside))
+            if beside
+            else selection.without(insufficient)
+        )
         return _confirmed(vehicle, found, validator, known, rest)
-    builder.regrade(worth)
+    builder.regrade(gains)
     return builder
 
 

@@ -20,14 +20,15 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, scored
+from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, score_of
 from .diagnosis.candidates import possible_in
-from .diagnosis.consistency import kept_beside, knows_time, own_variables, states_time
-from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_quick_to_tell, with_effects
+from .diagnosis.consistency import depends_on_time, kept_with, may_depend_on_time, own_variables
+from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_fast_to_distinguish, with_effects
 from .diagnosis.floors import noise_floors
-from .diagnosis.grading import Graded, found_beside
-from .diagnosis.reference import is_disturbance, predictable
-from .diagnosis.residual import remaining, unknown_to
+from .diagnosis.grading import Graded, doubt_of_companion
+from .diagnosis.predictability import is_disturbance, predictable
+from .diagnosis.prediction_gain import PredictionGain, gain_of_effects
+from .diagnosis.residual import remaining, unrelated_to
 from .diagnosis.result import (
     AddedEffect,
     Diagnosis,
@@ -45,26 +46,25 @@ from .diagnosis.selection import Selection
 from .diagnosis.validation import Contender, SimulationValidator
 from .diagnosis.verdict import (
     ONLY_SIMULATIONS,
+    ImprovedModel,
     Judgement,
-    Relief,
     Remainder,
-    absorbing,
     changed_values,
+    compensation_warnings,
     equivalents,
     error_of_sensors,
     estimate,
     estimates,
-    instead_of_effects,
+    improved_models,
     judge,
     judge_selection,
     only_disturbance,
-    reliefs,
     share_explained,
     unique_ids,
     values_by_run,
-    with_values,
+    values_instead_of_effects,
+    with_changed_values,
 )
-from .diagnosis.worth import Worth, gained
 from .doctor.kinematics import Kinematics
 from .report.scaffold import effect_of
 from .report.sentences import refit_is_worse
@@ -86,9 +86,9 @@ class ResultBuilder:
         self.found = found = (validated if selection is None else _as_selected)(found, validator)
         self.bench, self.settings = found.bench, found.bench.settings
         weak = found.steps()
-        # What is called refitted is the model that `fit` and `add` end with: of a model that lacks something
-        # a fit under the noise model of a better one would be another.
-        refined = [validator.final(f) for f in (found.alone, *weak[1:])]
+        # The refitted model is that of `fit` and `add`: under the noise model of a better model, the fit of
+        # an incomplete one would differ.
+        refined = [validator.final(f) for f in (found.base, *weak[1:])]
         self.fits = [fit for fit, _ in refined]
         self.simulated = [squares for _, squares in refined]
         self.base, final = self.fits[0], self.fits[-1]
@@ -103,7 +103,7 @@ class ResultBuilder:
     def judgement(self) -> Judgement:
         """The verdict with its reasons."""
         noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
-        scores = self.bench.judge(self._weak[0]), self.bench.judge(self._weak[-1])
+        scores = self.bench.score(self._weak[0]), self.bench.score(self._weak[-1])
         selection = self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
             judged = judge_selection(self.found, scores, noise, selection)
@@ -129,7 +129,7 @@ class ResultBuilder:
             bench = replace(self.bench, base=self._weak[i])
             doubt = contradiction(effect, (self._weak[i], self._weak[i + 1]), bench, self.validator)
             if doubt:
-                words = [doubt, *[found_beside(effect.id)] * (len(graded) - i - 1)]
+                words = [doubt, *[doubt_of_companion(effect.id)] * (len(graded) - i - 1)]
                 later = [replace(g, doubt=g.doubt or w) for g, w in zip(graded[i:], words, strict=True)]
                 return [*graded[:i], *later]
         return graded
@@ -140,16 +140,16 @@ class ResultBuilder:
         found = _superfluous(self.found, self.validator) if self._residual_is_noise else None
         return None if found is None else found[0]
 
-    def worth(self) -> list[Worth]:
+    def gains(self) -> list[PredictionGain]:
         """Improvement of predictions by every added effect, from the fits of the result."""
         ahead = [self.validator.squares_ahead(fit) for fit in self.fits]
         steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
-        return [gained(before, after, [f], self.validator) for (before, after), f in steps]
+        return [gain_of_effects(before, after, [f], self.validator) for (before, after), f in steps]
 
-    def regrade(self, worth: Sequence[Worth]) -> None:
+    def regrade(self, gains: Sequence[PredictionGain]) -> None:
         """Update the benefit of the selected effects from the fits of the result."""
         if self._selection is not None:
-            graded = [replace(g, worth=w) for g, w in zip(self._selection.graded, worth, strict=True)]
+            graded = [replace(g, gain=new) for g, new in zip(self._selection.graded, gains, strict=True)]
             self._selection = replace(self._selection, graded=graded)
 
     @property
@@ -169,7 +169,7 @@ class ResultBuilder:
         return {f.id: f.trial.fit for f in self.found.rounds[0].findings if f.trial.kept}
 
     @cached_property
-    def _left(self) -> list[Remaining]:
+    def _remaining(self) -> list[Remaining]:
         return remaining(self.after, self.bench.train, self.bench.test)
 
     @cached_property
@@ -184,13 +184,13 @@ class ResultBuilder:
         """The judgement; if `unexplained`, whether sensors contradict each other or all is a disturbance."""
         if self.judgement.verdict != "unexplained":
             return self.judgement
-        compared = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
-        if not compared or self._sensors_disagree:
-            contradiction = error_of_sensors(self._harmless, compared, self.settings)
+        comparable = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
+        if not comparable or self._sensors_disagree:
+            contradiction = error_of_sensors(self._harmless, comparable, self.settings)
             if contradiction:
                 return contradiction
-        noisy = {r.degree_of_freedom for r in self._left if not r.excess_rms}
-        depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._left)
+        noisy = {r.degree_of_freedom for r in self._remaining if not r.excess_rms}
+        depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._remaining)
         if depends or not is_disturbance(self._predictable, noisy):
             return self.judgement
         return only_disturbance(self._predictable, self.judgement.share)
@@ -198,8 +198,8 @@ class ResultBuilder:
     @property
     def _harmless(self) -> list[FoundEffect]:
         """The candidates for the model as given, without those known to make predictions worse."""
-        worth, least = {} if self._selection is None else self._selection.worth, self.settings.worth
-        harmful = {i for i, w in worth.items() if w.harms(least)}
+        gains, least = {} if self._selection is None else self._selection.gains, self.settings.worth
+        harmful = {i for i, gain in gains.items() if gain.harms(least)}
         return [f for f in self.found.rounds[0].findings if f.id not in harmful]
 
     @property
@@ -217,7 +217,7 @@ class ResultBuilder:
         equivalent = self._equivalents()
         doubts = [f"But {e.reason}: {_either(e)}. {e.separated_by}." for e in equivalent]
         doubts += self._repeated_commands() if self.judgement.effects else []
-        doubts += self._nowhere_above_noise(self._left)
+        doubts += self._nowhere_above_noise(self._remaining)
         return Diagnosis(
             undertow=__version__,
             vehicle=self.vehicle.name,
@@ -234,7 +234,7 @@ class ResultBuilder:
             indistinguishable=self._sets(),
             equivalent=equivalent,
             warnings=self._warnings(equivalent),
-            remaining=self._left,
+            remaining=self._remaining,
             predictable=self._predictable,
             parameters=estimates(self.after, self.vehicle),
             by_run=values_by_run(self.after, self.vehicle),
@@ -247,18 +247,20 @@ class ResultBuilder:
     def _added(self) -> list[AddedEffect]:
         graded = [] if self._selection is None else self._selection.graded
         return [
-            AddedEffect(effect=winner.id, falls=g.worth.by_horizon, doubt=g.doubt)
+            AddedEffect(effect=winner.id, falls=g.gain.by_horizon, doubt=g.doubt)
             for winner, g in zip(self.found.winners, graded, strict=False)
         ]
 
     def _headline(self) -> str:
         values = changed_values(self.vehicle, self.after, self.found.freed)
-        return with_values(self._verdict, values, self._residual_is_noise)
+        return with_changed_values(self._verdict, values, self._residual_is_noise)
 
     def _equivalents(self) -> list[Equivalent]:
         model, bench = self.found.vehicle, self.bench
         if self.judgement.effects and self._residual_is_noise:
-            return instead_of_effects(self.found.effect_set, model, bench, self.validator.residual_is_noise)
+            return values_instead_of_effects(
+                self.found.effect_set, model, bench, self.validator.residual_is_noise
+            )
         if self.judgement.verdict != "adequate":
             return []
         return equivalents(self.vehicle, bench, possible_in(bench.train, model, self._known))
@@ -304,18 +306,18 @@ class ResultBuilder:
 
     def _normalised(self, fit: Fitted) -> float:
         """Error in units of the noise, without the part due to unknown initial states."""
-        before, data = self._left_before, self.bench.test
-        after = scored(fit, data, self._whitening, before.r)
+        before, data = self._base_score, self.bench.test
+        after = score_of(fit, data, self._whitening, before.r)
         without, with_it = map(error_of, comparable_mean_squares(before, after, data))
         return self._before * with_it / without
 
     @cached_property
-    def _left_before(self) -> Score:
-        return scored(self.base, self.bench.test, self._whitening)
+    def _base_score(self) -> Score:
+        return score_of(self.base, self.bench.test, self._whitening)
 
     @cached_property
     def _before(self) -> float:
-        return self._left_before.error
+        return self._base_score.error
 
     def _steps(self) -> list[Step]:
         ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
@@ -346,8 +348,8 @@ class ResultBuilder:
         chosen: dict[str, FoundEffect] = {}
         for found in [*self.judgement.effects, *self.judgement.helps]:
             chosen.setdefault(found.id, found)
-        worth = {} if self._selection is None else self._selection.worth
-        falls = {i: w.falls[max(w.falls)] for i, w in worth.items()}
+        gains = {} if self._selection is None else self._selection.gains
+        falls = {i: gain.falls[max(gain.falls)] for i, gain in gains.items()}
         others = (f for f in self.found.rounds[0].findings if f.id not in chosen)
         unseen = -math.inf
         rest = sorted(others, key=lambda f: (not self._shown(f), -falls.get(f.id, unseen)))
@@ -357,7 +359,7 @@ class ResultBuilder:
         trial = finding.trial
         helps = self._shown(finding) or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
         names = finding.parameters if helps and trial.kept else ()
-        fit = self.validator.judged_fit(trial.fit)
+        fit = self.validator.predicting_fit(trial.fit)
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
@@ -370,7 +372,7 @@ class ResultBuilder:
             interval=finding.evidence.interval,
             # Where nothing is missing the simulation, which has the last word, needs none of them.
             significant=self._shown(finding)
-            and not finding.by_slow_disturbance(self.settings)
+            and not finding.may_be_slow_disturbance(self.settings)
             and self.judgement.verdict != "adequate",
             p_value=max(finding.p_value, finding.slow_p_value) if helps else None,
             inclusion=finding.inclusion if math.isfinite(finding.inclusion) else None,
@@ -380,7 +382,7 @@ class ResultBuilder:
 
     def _shown(self, finding: FoundEffect) -> bool:
         """Whether a candidate is significant, by the residual alone or confirmed by simulation."""
-        return finding.significant or (self._selection is not None and finding.id in self._selection.worth)
+        return finding.significant or (self._selection is not None and finding.id in self._selection.gains)
 
     @cached_property
     def _claimed(self) -> set[str]:
@@ -394,20 +396,24 @@ class ResultBuilder:
         return doubts.get(effect) or self._selection.reasons.get(effect, "")
 
     def _falls(self, effect: str) -> dict[str, float]:
-        seen = {} if self._selection is None else self._selection.worth
-        return seen[effect].by_horizon if effect in seen else {}
+        gains = {} if self._selection is None else self._selection.gains
+        return gains[effect].by_horizon if effect in gains else {}
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
-        helpers = [h for h in reliefs(self.found.rounds[0].findings) if self._claimed.issuperset(h.effects)]
+        helpers = [
+            h for h in improved_models(self.found.rounds[0].findings) if self._claimed.issuperset(h.effects)
+        ]
         if len(named) > 1:
-            helpers.append(Relief(named, self.after.values, min((h.error for h in helpers), default=0.0)))
+            helpers.append(
+                ImprovedModel(named, self.after.values, min((h.error for h in helpers), default=0.0))
+            )
         alike = {name: e.effects for e in equivalent for name in e.parameters}
         stated, refitted = (self.validator.ahead(m)[0] for m in (self.vehicle, self.given))
         worse = refit_is_worse(stated, refitted, self.settings.notably_worse)
         return [
             *([worse] if worse else []),
-            *absorbing(self.vehicle, self.base, helpers, alike, self.settings),
+            *compensation_warnings(self.vehicle, self.base, helpers, alike, self.settings),
             *(f"{line[:1].upper()}{line[1:]}." for line in notes(self.after)),
         ]
 
@@ -416,7 +422,7 @@ def _either(equivalent: Equivalent) -> str:
     return " or ".join(["wrong stated values", *equivalent.effects])
 
 
-# --- the search as far as it stands up to simulation ---------------------------------------------
+# --- the search as far as simulation confirms it -------------------------------------------------
 def validated(found: Search, validator: SimulationValidator) -> Search:
     """The search as far as simulation confirms it.
 
@@ -446,7 +452,7 @@ def _among_equals(found: Search, validator: SimulationValidator) -> Search:
             ids = {c.findings[place].id for c in (best, *others)}
             dropped = [c for c in equals if c.findings[place].id not in ids]
             chosen = best.findings[place]
-            others += [c for c in dropped if too_quick_to_tell(chosen, c.findings[place], bench)]
+            others += [c for c in dropped if too_fast_to_distinguish(chosen, c.findings[place], bench)]
             rivals: list[list[EffectSet]] = list(found.rivals)
             rivals[place] = others
             found = replace(found, effect_set=best, rivals=rivals)
@@ -475,7 +481,7 @@ def _with_last_fit(found: Search) -> Search:
         return found
     effect_set, bench = found.effect_set, found.bench
     fit = last_fit(effect_set.fit, [f.trial.candidate for f in effect_set.findings], bench.settings)
-    return replace(found, effect_set=replace(effect_set, fit=fit, score=bench.judge(fit)))
+    return replace(found, effect_set=replace(effect_set, fit=fit, score=bench.score(fit)))
 
 
 def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
@@ -499,7 +505,7 @@ def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, Ef
     winners = found.winners if len(found.winners) > 1 else []
     for place, effect in enumerate(winners):
         others = [f for f in winners if f is not effect]
-        # Parameters that the others could do without beside it.
+        # With the parameters that the others need only without it.
         candidates, shorter = [f.trial.candidate for f in others], fitted(found.vehicle, others, found.bench)
         whole = last_fit(shorter.fit, candidates, found.bench.settings)
         if validator.leaves_only_noise(whole) and not validator.significantly_worse(
@@ -529,7 +535,7 @@ def _only(effect_set: EffectSet, places: list[int]) -> EffectSet:
     return replace(effect_set, findings=tuple(effect_set.findings[i] for i in places))
 
 
-# --- what in the forces speaks against effects that would be named -------------------------------
+# --- evidence in the forces against effects that would be named -----------------------------------
 def contradiction(
     effect: FoundEffect,
     fits: tuple[WeakFit, WeakFit],
@@ -544,20 +550,20 @@ def contradiction(
     """
     if effect.of_sensors:
         return ""
-    without, with_it = (bench.judge(f) for f in fits)
+    without, with_it = (bench.score(f) for f in fits)
     if share_explained((without, with_it), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
     return _is_proxy(effect, validator.final(fits[0])[0], bench, validator)
 
 
-def _unknown_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
+def _unrelated_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:
     """Residual forces that depend on variables other than those of an effect."""
     candidate, grown = effect.trial.candidate, effect.trial.fit.model.functions.vehicle
     own = {*own_variables(candidate, vehicle, grown)}
-    own |= {"t"} if knows_time(candidate, vehicle, grown) else set()
-    # Mass that is missing looks like a share of the force that drives the vehicle.
+    own |= {"t"} if may_depend_on_time(candidate, vehicle, grown) else set()
+    # A missing mass is equivalent to a fraction of the driving force.
     own |= {*vehicle.command_names} if grown.mass_matrix != vehicle.mass_matrix else set()
-    return unknown_to(own, left, vehicle, periodic=states_time(vehicle, grown))
+    return unrelated_to(own, left, vehicle, periodic=depends_on_time(vehicle, grown))
 
 
 def _is_proxy(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:
@@ -567,14 +573,14 @@ def _is_proxy(effect: FoundEffect, before: Fitted, bench: Bench, validator: Simu
     found on the training data. A mere proxy for such a force loses its size or benefit with it in the model;
     a cause keeps them.
     """
-    left = _unknown_to(effect, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
+    left = _unrelated_to(effect, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
     made = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
     other = try_all(bench, {made.id: made}, lambda done, words: None).findings[0]
     if not other.trial.kept:
         return ""
-    kept, force = kept_beside(effect, other, before, bench, validator), made.about().rstrip(".")
+    kept, force = kept_with(effect, other, before, bench, validator), made.about().rstrip(".")
     if kept.size < 1.0 - bench.settings.size_spread:
         lost = f"its size would drop to {max(kept.size, 0.0):.0%} of the fitted value"
     elif kept.gain < bench.settings.kept_gain:

@@ -170,7 +170,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
 
     `written` is the file of --json, `map` the mapping file in use.
     """
-    from undertow.identification.diagnosis.floors import in_words
+    from undertow.identification.diagnosis.floors import predictable_in_words
 
     diagnosis = outcome.diagnosis
     for finding in diagnosis.doctor:
@@ -191,7 +191,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
             say(f"not named: {entry.effect} {entry.not_named}")
     horizons = [share for name, share in diagnosis.last_step.ahead.items() if name != "free run"]
     if diagnosis.predictable and horizons:
-        said = in_words(horizons[-1], diagnosis.predictable, diagnosis.stopped_at_zero)
+        said = predictable_in_words(horizons[-1], diagnosis.predictable, diagnosis.stopped_at_zero)
         say(f"Over the longest horizon {said}.")
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
@@ -249,9 +249,9 @@ def _values(parameters: Sequence[Estimate], most: int) -> str:
 
 
 def _change(share: float) -> str:
-    from undertow.identification.diagnosis.worth import WORDING
+    from undertow.identification.diagnosis.prediction_gain import WORDING
 
-    most = WORDING.runs_away
+    most = WORDING.diverges
     return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
 
 

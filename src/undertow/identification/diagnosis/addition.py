@@ -100,7 +100,7 @@ def set_up_addition(
     return AdditionSetup(vehicle, train_runs, test_runs, bench, validator)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
+@np.errstate(over="ignore", invalid="ignore")  # unbounded states are rejected by their cost
 def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
     """Add an effect to the model, refit all parameters, and evaluate it on validation data."""
     base = setup.bench.base.model.functions.vehicle
@@ -112,15 +112,15 @@ def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = F
             f"effect '{effect.id}' has no influence on '{setup.bench.base.vehicle.name}' in these logs: its "
             "parameters cannot be estimated"
         )
-    start = best_start(candidate, setup.bench, [look.values for look in screened])
-    first = _tried(candidate, setup.bench, start, keep_all)
+    start = best_start(candidate, setup.bench, [s.values for s in screened])
+    first = _fit_candidate(candidate, setup.bench, start, keep_all)
     if candidate.sizes and not first.kept:
-        # No parameter is clearly other than zero. The validation data have the last word, so all go in.
-        keep_all, first = True, _whole(candidate, setup.bench, start)
-    # What is judged is weighed by the noise model of the better fit, for both models alike.
-    sharp = setup.bench.sharpened(first.full)
-    found = _tried(candidate, sharp, first.fit.values, keep_all).fit
-    return _judged(setup, sharp, candidate, [last_fit(found, [candidate]), found])
+        # No parameter differs significantly from zero: the validation data decide, with all of them.
+        keep_all, first = True, _fit_with_all_parameters(candidate, setup.bench, start)
+    # Both models are evaluated under the noise model of the better fit.
+    refined = setup.bench.with_noise_model_of(first.full)
+    found = _fit_candidate(candidate, refined, first.fit.values, keep_all).fit
+    return _evaluated(setup, refined, candidate, [last_fit(found, [candidate]), found])
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
@@ -148,22 +148,22 @@ def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
     """Whether its parameters have any influence: a command delay has none on a vehicle without commands."""
-    felt = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
-    return not candidate.parameters or any(p.name in felt for p in candidate.parameters)
+    used = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
+    return not candidate.parameters or any(p.name in used for p in candidate.parameters)
 
 
-def _tried(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all: bool) -> Trial:
-    return (_whole if keep_all else try_candidate)(candidate, bench, start)
+def _fit_candidate(candidate: Candidate, bench: Bench, start: dict[str, float], keep_all: bool) -> Trial:
+    return (_fit_with_all_parameters if keep_all else try_candidate)(candidate, bench, start)
 
 
-def _whole(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
+def _fit_with_all_parameters(candidate: Candidate, bench: Bench, start: dict[str, float]) -> Trial:
     """The candidate with all of its parameters."""
     fit = bench.fit(candidate.model_from(start), start=start)
-    return Trial(candidate, fit, fit, candidate.sizes, bench.judge(fit))
+    return Trial(candidate, fit, fit, candidate.sizes, bench.score(fit))
 
 
-def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:
-    # What `fit` ends with, from where it begins: both commands give the same model.
+def _evaluated(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:
+    # The final fit of `fit`, from the same start: both commands give the same model.
     weak, fit, with_it = best_predicting(setup, fits)
     base = setup.validator.final(setup.bench.base)[0]
     without = float(horizon_error([base], setup.test)[0])
@@ -178,7 +178,7 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequ
         _step(setup, [], setup.vehicle, noise),
         _step(setup, [], base, noise),
         _step(setup, [candidate.id], fit, noise),
-        compare_scores(bench.base_score, bench.judge(weak), bench.test),
+        compare_scores(bench.base_score, bench.score(weak), bench.test),
         (without, with_it),
     )
 
@@ -186,8 +186,8 @@ def _judged(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequ
 def best_predicting(setup: AdditionSetup, fits: Sequence[WeakFit]) -> tuple[WeakFit, Fitted, float]:
     """The first of these fits whose final fit predicts no worse than the best, with that and its error.
 
-    They differ in the parameters of the effect that are left out. What the force tells from zero may predict
-    worse, where something else is missing as well.
+    They differ in the parameters of the effect that are left out. One that is significant in the force may
+    make predictions worse if something else is missing as well.
     """
     different = [f for i, f in enumerate(fits) if f.model.free not in [g.model.free for g in fits[:i]]]
     finals = [setup.validator.final(f)[0] for f in different]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, gamma
@@ -31,13 +32,13 @@ class AssociationSettings:
 
     step_times: int = 24  # times at which a step is tried, evenly over the logs: within 2 % of their length
     patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05 %
-    news: float = 1e-4  # least share of a column that the model's own columns must leave of it
-    alike: float = 0.9  # share of the gain of the best term from which another is named with it
+    independent_share: float = 1e-4  # least share of a column that is linearly independent of the model
+    alike_share: float = 0.9  # share of the fall by the best term from which another is named with it
     step_width: float = 0.125  # how long a step takes in a fit, as a share of the time between two of them
     fewest_blocks: int = 4  # blocks of a run that is compared with others
     # Share of the information on the best determined coefficient below which one counts as undetermined.
-    rank: float = 1e-9
-    fine: int = 8  # frequencies tried per one that the longest run resolves
+    rank_tolerance: float = 1e-9
+    oversampling: int = 8  # frequencies tried per one that the longest run resolves
     fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
     band: float = 0.1  # half width of a line, as a share of its frequency
 
@@ -74,18 +75,18 @@ def terms_of(vehicle: Vehicle, pose: tuple[str, ...]) -> list[Term]:
         columns += [(a,), (f"|{a}|", a), (a, a), ("t", a), ("t", f"|{a}|", a)]
     columns += combinations(velocities, 2)
     columns += [(f"|{a}|", b) for a, b in permutations(velocities, 2)]
-    columns += _by_commands(commands, velocities)
+    columns += _command_columns(commands, velocities)
     columns += [(n,) for n in pose if n in ("x", "y", "z")] + [
         (f"sin({n})",) for n in pose if n in _ANGLES[1:]
     ]
-    turns = [_heading("psi"), _heading("2 psi")] if "psi" in pose else []
+    turns = [_sin_and_cos("psi"), _sin_and_cos("2 psi")] if "psi" in pose else []
     if {"psi", "z"} <= set(pose):
-        turns.append(_heading("psi", "z"))
-    together = _by_all([c for c in commands if command_of(c) not in vehicle.inputs], velocities)
-    return [*(Term(label_of(c), (c,)) for c in columns), *together, *turns]
+        turns.append(_sin_and_cos("psi", "z"))
+    jointly = _times_each_command([c for c in commands if command_of(c) not in vehicle.inputs], velocities)
+    return [*(Term(label_of(c), (c,)) for c in columns), *jointly, *turns]
 
 
-def _by_all(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Term]:
+def _times_each_command(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Term]:
     """Each command times a velocity, all together: a law that all actuators obey is no single one's."""
     if len(commands) > 1:
         for a in velocities:
@@ -93,7 +94,7 @@ def _by_all(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Term]:
             yield Term(f"{a} times each |command|", tuple((f"|{c}|", a) for c in commands))
 
 
-def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Column]:
+def _command_columns(commands: list[str], velocities: tuple[str, ...]) -> Iterator[Column]:
     for c in commands:
         yield from ((c,), (f"|{c}|", c), (c, c), ("t", c), ("t", f"|{c}|", c))
         yield from ((c, a) for a in velocities)
@@ -102,7 +103,7 @@ def _by_commands(commands: list[str], velocities: tuple[str, ...]) -> Iterator[C
         yield from ((c, d), (f"|{c}|", f"|{d}|"))
 
 
-def steps_of(t: Array) -> list[Term]:
+def step_terms(t: Array) -> list[Term]:
     """Steps, at times that all runs have in common, evenly over the times t (K,) of the logs, s."""
     times = np.linspace(t.min(), t.max(), SETTINGS.step_times + 2)[1:-1]
     decimals = max(0, int(np.ceil(1.0 - np.log10(times[1] - times[0]))))
@@ -112,14 +113,14 @@ def steps_of(t: Array) -> list[Term]:
     return [Term(label_of(c), (c,)) for c in columns]
 
 
-def sudden(column: Sequence[str], steps: Sequence[Term]) -> list[Term]:
+def onset_terms(column: Sequence[str], steps: Sequence[Term]) -> list[Term]:
     """Terms that grow with time (``t |u| u``), replaced by ones that set in at each of the steps."""
     rest = tuple(f for f in column if f != "t")
     columns = [(*step.columns[0], *rest) for step in steps] if rest and "t" in column else []
     return [Term(label_of(c), (c,)) for c in columns]
 
 
-def _heading(angle: str, *factors: str) -> Term:
+def _sin_and_cos(angle: str, *factors: str) -> Term:
     both = tuple((*factors, f"{f}({angle})") for f in ("sin", "cos"))
     return Term(" ".join([*factors, f"sin and cos of {angle}"]), both)
 
@@ -138,14 +139,14 @@ def label_of(column: Column) -> str:
     return " ".join(f if times == 1 else f"{f}^{times}" for f, times in factors.items()) or "a constant"
 
 
-def plain_of(factor: str) -> str:
+def without_bars(factor: str) -> str:
     """A factor without magnitude bars: ``|r|`` gives ``r``."""
     return factor[1:-1] if factor.startswith("|") and factor.endswith("|") else factor
 
 
 def command_of(factor: str) -> str | None:
     """Name of the command in a factor, or None if there is none."""
-    plain = plain_of(factor)
+    plain = without_bars(factor)
     return plain.removeprefix(_COMMAND) if plain.startswith(_COMMAND) else None
 
 
@@ -156,7 +157,7 @@ def unit_of(factor: str) -> str:
         return UNITS.get(name, "command")
     if WAVE.fullmatch(factor) or STEP.fullmatch(factor):
         return "1"
-    plain = plain_of(factor)
+    plain = without_bars(factor)
     return "s" if factor == "t" else {**UNITS, "t": ""}[plain]
 
 
@@ -172,7 +173,7 @@ def _power(unit: str, exponent: int) -> str:
 
 
 @dataclass(frozen=True)
-class Along:
+class Trajectory:
     """Motion and commands at N samples, from which columns are computed.
 
     values: (N,), velocities through the water, pose and time.
@@ -182,12 +183,12 @@ class Along:
     values: dict[str, Array]
     commands: dict[str, Array]
 
-    def smooth(self, column: Column) -> Array:
+    def motion_product(self, column: Column) -> Array:
         """Product of the factors that are no commands, shape (N,)."""
         factors = [self._value(f) for f in column if command_of(f) is None]
         return np.prod([np.ones_like(self.values["t"]), *factors], axis=0)
 
-    def held(self, column: Column) -> Array | None:
+    def command_product(self, column: Column) -> Array | None:
         """Product of the factors that are commands, shape (N,); None where there is none."""
         names = [(f, command_of(f)) for f in column]
         found = [
@@ -202,7 +203,7 @@ class Along:
             return np.asarray(np.sin(angle) if wave[1] == "sin" else np.cos(angle))
         if step := STEP.fullmatch(factor):
             return np.asarray(self.values["t"] >= float(step[1]), dtype=float)
-        value = self.values[plain_of(factor)]
+        value = self.values[without_bars(factor)]
         return np.abs(value) if factor.startswith("|") else value
 
 
@@ -212,7 +213,7 @@ def is_factor(text: str) -> bool:
 
 
 def _is_motion(text: str) -> bool:
-    return plain_of(text) in VELOCITY or command_of(text) is not None
+    return without_bars(text) in VELOCITY or command_of(text) is not None
 
 
 @dataclass(frozen=True)
@@ -220,13 +221,13 @@ class Sample:
     """A residual in units of its noise.
 
     r: (m,), residual.
-    own: (m, k), its derivative with respect to the model's free parameters.
+    J: (m, k), its derivative with respect to the model's free parameters.
     columns: (m, q), its derivative with respect to the coefficients of all terms.
     block: (m,), block of time of each entry.
     """
 
     r: Array
-    own: Array
+    J: Array
     columns: Array
     block: Index
 
@@ -247,44 +248,43 @@ class Sample:
         return total
 
 
-@dataclass(frozen=True)
-class Samples:
+class Samples(NamedTuple):
     """The same residual on three bases.
 
     fitted, validation: on the training and validation data, with the remainder counted as noise.
-    shown: on validation data, in units of sensor noise alone.
+    under_sensor_noise: on validation data, in units of sensor noise alone.
     """
 
     fitted: Sample
     validation: Sample
-    shown: Sample
+    under_sensor_noise: Sample
 
     def mapped(self, change: Callable[[Sample], Sample]) -> Samples:
-        """All three changed alike."""
-        return Samples(change(self.fitted), change(self.validation), change(self.shown))
+        """The same change of all three."""
+        return Samples(*map(change, self))
 
 
 @dataclass(frozen=True)
-class Found:
+class AssociatedTerm:
     """A term with its evidence.
 
     term: the term.
     coefficients, errors: (k,), coefficient of each of its columns, and standard errors.
-    gain: fall of the sum of squares on validation data.
-    chance: fraction of sign patterns for which the best of all terms gains as much.
-    alike: labels of terms that gain nearly as much.
+    fall: fall of the sum of squares on validation data.
+    chance: fraction of sign patterns for which the best of all terms explains as much.
+    alike: labels of terms that explain nearly as much.
     """
 
     term: Term
     coefficients: Array
     errors: Array
-    gain: float
+    fall: float
     chance: float
     alike: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _TermProducts:
     """One term: products of its columns with the residual in each block, and with each other."""
 
     term: Term
@@ -293,7 +293,7 @@ class _Tried:
     inverse: Array
     gram: Array
 
-    def gain(self, fitted: Array, validation: Array) -> Array:
+    def fall(self, fitted: Array, validation: Array) -> Array:
         """Fall of the validation sum of squares for signs of the blocks, (patterns, blocks) each."""
         step = -(fitted @ self.fitted) @ self.inverse
         quadratic = np.einsum("si,ij,sj->s", step, self.gram, step)
@@ -306,82 +306,83 @@ class Association:
 
     terms: what it may correlate with; their columns stand side by side in the samples.
     samples: the residual.
-    stiffness: (k, k), information on the model's own parameters from elsewhere (other equations, priors).
-    taken: labels of the terms removed.
+    stiffness: (k, k), information on the free parameters of the model from elsewhere (other equations,
+    priors).
+    removed: labels of the terms removed.
     """
 
     terms: tuple[Term, ...]
     samples: Samples
     stiffness: Array
-    taken: frozenset[str] = frozenset()
+    removed: frozenset[str] = frozenset()
 
-    def strongest(self) -> Found | None:
+    def strongest(self) -> AssociatedTerm | None:
         """The term that removes most of the validation residual; None if none removes any."""
-        tried = self._tried
+        products = self._products
         counts = self.samples.fitted.blocks, self.samples.validation.blocks
-        gains = np.array([t.gain(*(np.ones((1, n)) for n in counts))[0] for t in tried])
-        if not np.any(gains > 0):
+        falls = np.array([t.fall(*(np.ones((1, n)) for n in counts))[0] for t in products])
+        if not np.any(falls > 0):
             return None
         rng = np.random.default_rng(0)
         signs = [rng.choice([-1.0, 1.0], size=(SETTINGS.patterns, n)) for n in counts]
-        by_chance = np.max([t.gain(*signs) for t in tried], axis=0)
-        terms = [t.term for t in tried]
-        near = [i for i in np.argsort(-gains) if gains[i] > SETTINGS.alike * gains.max()]
+        by_chance = np.max([t.fall(*signs) for t in products], axis=0)
+        terms = [t.term for t in products]
+        near = [i for i in np.argsort(-falls) if falls[i] > SETTINGS.alike_share * falls.max()]
         first = next((i for i in near if terms[i].is_part_of(terms[near[0]])), near[0])
         others = (terms[i] for i in near if i != first)
         alike = tuple(t.label for t in others if not (t.is_step and terms[first].is_step))
-        chance = (1 + int(np.sum(by_chance >= gains[first]))) / (1 + SETTINGS.patterns)
-        return self._found(tried[first], float(gains[first]), chance, alike)
+        chance = (1 + int(np.sum(by_chance >= falls[first]))) / (1 + SETTINGS.patterns)
+        return self._found(products[first], float(falls[first]), chance, alike)
 
-    def without(self, found: Found) -> Association:
+    def without(self, found: AssociatedTerm) -> Association:
         """The residual without a term; its coefficients remain free."""
-        place = self.places[found.term.label]
-        rest = self.samples.mapped(lambda s: self._moved(s, place, found.coefficients))
+        place = self.slices[found.term.label]
+        rest = self.samples.mapped(lambda s: self._without_term(s, place, found.coefficients))
         more = len(found.coefficients)
         stiffness = np.pad(self.stiffness, ((0, more), (0, more)))
-        return replace(self, samples=rest, stiffness=stiffness, taken=self.taken | {found.term.label})
+        return replace(self, samples=rest, stiffness=stiffness, removed=self.removed | {found.term.label})
 
-    def _moved(self, s: Sample, place: slice, coefficients: Array) -> Sample:
-        own = np.column_stack([s.own, s.columns[:, place]])
-        return replace(s, r=s.r + self._beside(s)[:, place] @ coefficients, own=own)
+    def _without_term(self, s: Sample, place: slice, coefficients: Array) -> Sample:
+        J = np.column_stack([s.J, s.columns[:, place]])
+        return replace(s, r=s.r + self._orthogonal(s)[:, place] @ coefficients, J=J)
 
-    def _beside(self, sample: Sample) -> Array:
-        """The columns together with the response of the model's own parameters to them."""
-        return sample.columns - sample.own @ self._answer
+    def _orthogonal(self, sample: Sample) -> Array:
+        """The columns less the part that the free parameters of the model take over."""
+        return sample.columns - sample.J @ self._parameter_response
 
     @cached_property
-    def _answer(self) -> Array:
+    def _parameter_response(self) -> Array:
         return _response(self.samples.fitted, self.samples.fitted.columns, self.stiffness)
 
     @cached_property
-    def places(self) -> dict[str, slice]:
+    def slices(self) -> dict[str, slice]:
         """Column indices of each term."""
-        places, first = {}, 0
+        slices, first = {}, 0
         for term in self.terms:
-            places[term.label] = slice(first, first := first + len(term.columns))
-        return places
+            slices[term.label] = slice(first, first := first + len(term.columns))
+        return slices
 
     @cached_property
-    def _tried(self) -> list[_Tried]:
+    def _products(self) -> list[_TermProducts]:
         fitted, validation = self.samples.fitted, self.samples.validation
-        first, second = self._beside(fitted), self._beside(validation)
+        first, second = self._orthogonal(fitted), self._orthogonal(validation)
         gram, whole = first.T @ fitted.columns, np.sum(fitted.columns**2, axis=0)
         a, b = fitted.by_block(first * fitted.r[:, None]), validation.by_block(second * validation.r[:, None])
-        news = np.diag(gram) > SETTINGS.news * whole
+        independent = np.diag(gram) > SETTINGS.independent_share * whole
         return [
-            _Tried(t, a[:, c], b[:, c], _inverse(gram[c, c]), second[:, c].T @ second[:, c])
+            _TermProducts(t, a[:, c], b[:, c], _inverse(gram[c, c]), second[:, c].T @ second[:, c])
             for t in self.terms
-            for c in [self.places[t.label]]
-            if t.label not in self.taken and np.all(news[c])
+            for c in [self.slices[t.label]]
+            if t.label not in self.removed and np.all(independent[c])
         ]
 
-    def _found(self, t: _Tried, gain: float, chance: float, alike: tuple[str, ...]) -> Found:
+    def _found(self, t: _TermProducts, fall: float, chance: float, alike: tuple[str, ...]) -> AssociatedTerm:
         fitted = self.samples.fitted
         coefficients = -t.inverse @ t.fitted.sum(axis=0)
-        column = self._beside(fitted)[:, self.places[t.term.label]]
+        column = self._orthogonal(fitted)[:, self.slices[t.term.label]]
         scores = fitted.by_block(column * (fitted.r + column @ coefficients)[:, None])
         spread = t.inverse @ (scores.T @ scores) @ t.inverse
-        return Found(t.term, coefficients, np.sqrt(np.diag(spread)), gain, chance, alike)
+        return AssociatedTerm(t.term, coefficients, np.sqrt(np.diag(spread)), fall, chance, alike)
 
 
 def _inverse(gram: Array) -> Array:
@@ -392,14 +393,14 @@ def _inverse(gram: Array) -> Array:
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / np.outer(size, size)
     return np.asarray(
-        np.linalg.pinv((scaled + scaled.T) / 2, rcond=SETTINGS.rank, hermitian=True) / np.outer(size, size)
+        np.linalg.pinv((scaled + scaled.T) / 2, rcond=SETTINGS.rank_tolerance, hermitian=True)
+        / np.outer(size, size)
     )
 
 
 def _response(sample: Sample, columns: Array, stiffness: Array) -> Array:
-    """Change of the model's own parameters that takes over most of columns (m, q), shape (k, q)."""
-    own = sample.own
-    return np.asarray(inverse_of(own.T @ own + stiffness) @ (own.T @ columns))
+    """Change of the free parameters of the model that takes over most of columns (m, q), shape (k, q)."""
+    return np.asarray(inverse_of(sample.J.T @ sample.J + stiffness) @ (sample.J.T @ columns))
 
 
 @dataclass(frozen=True)
@@ -419,11 +420,11 @@ class Difference:
 def difference(sample: Sample, columns: slice, stiffness: Array, run: Index) -> Difference | None:
     """Fit columns to a residual separately in every run that is long enough; None unless two are.
 
-    The model's own parameters are fitted at the same time: where a coefficient of drag is off by its standard
-    error, the mean force on a run at one speed is, too.
+    The free parameters of the model are fitted at the same time: an error of a drag coefficient changes
+    the mean force on a run at one speed.
 
     sample: the residual; `columns` are the place of its columns.
-    stiffness: (k, k), information on the model's own parameters from elsewhere.
+    stiffness: (k, k), information on the free parameters of the model from elsewhere.
     run: (m,), run of each entry.
     """
     enough = [len(np.unique(sample.block[run == i])) >= SETTINGS.fewest_blocks for i in np.unique(run)]
@@ -432,21 +433,21 @@ def difference(sample: Sample, columns: slice, stiffness: Array, run: Index) -> 
         return None
     each, size = sample.columns[:, columns], columns.stop - columns.start
     apart = np.column_stack([each * (run == i)[:, None] for i in runs])
-    values, spread, weight = _fitted(sample, apart, stiffness)
+    values, spread, weight = _coefficients(sample, apart, stiffness)
     same = np.tile(np.eye(size), (len(runs), 1))
     mean = inverse_of(same.T @ weight @ same) @ same.T @ weight @ values
-    off = values - same @ mean
-    distance, freedom = float(off @ weight @ off), (len(runs) - 1) * size
-    between = _between(weight, max(distance - freedom, 0.0), size) * np.eye(size)
-    places = [slice(k * size, (k + 1) * size) for k in range(len(runs))]
-    own = np.array([between @ inverse_of(between + spread[p, p]) @ off[p] for p in places])
+    deviation = values - same @ mean
+    distance, freedom = float(deviation @ weight @ deviation), (len(runs) - 1) * size
+    between = _variance_between_runs(weight, max(distance - freedom, 0.0), size) * np.eye(size)
+    slices = [slice(k * size, (k + 1) * size) for k in range(len(runs))]
+    own = np.array([between @ inverse_of(between + spread[p, p]) @ deviation[p] for p in slices])
     return Difference(runs, mean + own, float(chi2.sf(distance, freedom)))
 
 
-def _between(weight: Array, excess: float, size: int) -> float:
+def _variance_between_runs(weight: Array, excess: float, size: int) -> float:
     """Variance between runs, as DerSimonian and Laird (1986) estimate it.
 
-    A run on one heading says nothing of the force across it, and what it gives there is no value of that run.
+    A run on one heading carries no information on the force across it.
     """
     own = [weight[k : k + size, k : k + size] for k in range(0, len(weight), size)]
     total = np.sum(own, axis=0)
@@ -454,25 +455,25 @@ def _between(weight: Array, excess: float, size: int) -> float:
     return excess / max(float(scale), 1e-300)
 
 
-def _fitted(sample: Sample, columns: Array, stiffness: Array) -> tuple[Array, Array, Array]:
-    """Coefficients beside the model's parameters, covariance (at least that from noise) and its inverse.
+def _coefficients(sample: Sample, columns: Array, stiffness: Array) -> tuple[Array, Array, Array]:
+    """Coefficients, fitted together with the model, covariance (at least that from noise) and its inverse.
 
-    What the model's parameters can take over in all columns together is zero.
+    A combination of columns that the parameters of the model can reproduce gets the value zero.
     """
-    beside = columns - sample.own @ _response(sample, columns, stiffness)
-    gram = beside.T @ columns
-    inverse = np.linalg.pinv((gram + gram.T) / 2, rcond=SETTINGS.rank, hermitian=True)
-    value = -inverse @ (beside.T @ sample.r)
-    summed = sample.by_block(beside * (sample.r + beside @ value)[:, None])
-    plain = np.diag(inverse)
-    scattered = np.diag(inverse @ (summed.T @ summed) @ inverse) / np.where(plain > 0.0, plain, 1.0)
+    orthogonal = columns - sample.J @ _response(sample, columns, stiffness)
+    gram = orthogonal.T @ columns
+    inverse = np.linalg.pinv((gram + gram.T) / 2, rcond=SETTINGS.rank_tolerance, hermitian=True)
+    value = -inverse @ (orthogonal.T @ sample.r)
+    summed = sample.by_block(orthogonal * (sample.r + orthogonal @ value)[:, None])
+    nominal = np.diag(inverse)
+    scattered = np.diag(inverse @ (summed.T @ summed) @ inverse) / np.where(nominal > 0.0, nominal, 1.0)
     inflation = np.sqrt(np.maximum(1.0, scattered))
     both = np.outer(inflation, inflation)
     return value, inverse * both, gram / both
 
 
 # Median over mean of a power that is scattered like that of noise.
-_MEDIAN = float(np.log(2.0))
+_MEDIAN_OVER_MEAN = float(np.log(2.0))
 
 
 @dataclass(frozen=True)
@@ -504,12 +505,12 @@ class Peak:
     """A frequency that stands out.
 
     frequency: hz.
-    gain: sum of squares of the validation series in its band, above that of the neighbouring frequencies.
+    excess: sum of squares of the validation series in its band, above that of the neighbouring frequencies.
     chance: p-value of the power at this frequency on validation data.
     """
 
     frequency: float
-    gain: float
+    excess: float
     chance: float
 
 
@@ -518,12 +519,12 @@ def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | N
     slowest = SETTINGS.fewest_periods / min(fitted.length, validation.length)
     if slowest >= 0.5 * fastest:
         return None
-    grid = np.arange(slowest, fastest, 1.0 / (SETTINGS.fine * max(fitted.length, validation.length)))
+    grid = np.arange(slowest, fastest, 1.0 / (SETTINGS.oversampling * max(fitted.length, validation.length)))
     first, second = power(fitted, grid), power(validation, grid)
-    place = int(np.argmax(first / _neighbours(first, grid)))
-    frequency = _summit(grid, first + second, place)
-    gain = _band_gain(second, frequency, grid, validation.length)
-    return Peak(frequency, gain, _chance(second, grid, place, len(validation.runs)))
+    place = int(np.argmax(first / _background(first, grid)))
+    frequency = _peak_frequency(grid, first + second, place)
+    excess = _band_excess(second, frequency, grid, validation.length)
+    return Peak(frequency, excess, _peak_p_value(second, grid, place, len(validation.runs)))
 
 
 def power(series: Series, grid: Array) -> Array:
@@ -536,32 +537,32 @@ def _power_of_run(s: Series, grid: Array) -> Array:
     return np.asarray(2.0 / len(s.t) * np.abs(wave @ s.r) ** 2)
 
 
-def _neighbours(power: Array, grid: Array) -> Array:
+def _background(power: Array, grid: Array) -> Array:
     """Mean power that the neighbourhood suggests: from the median within a factor of two in frequency."""
-    coarse = grid[:: SETTINGS.fine]
+    coarse = grid[:: SETTINGS.oversampling]
     low, high = np.searchsorted(grid, coarse / 2), np.searchsorted(grid, coarse * 2)
     medians = [np.median(power[a:b]) for a, b in zip(low, high, strict=True)]
-    return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN)
+    return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN_OVER_MEAN)
 
 
-def _summit(grid: Array, power: Array, place: int) -> float:
+def _peak_frequency(grid: Array, power: Array, place: int) -> float:
     """Highest point of both data sets together within the width of the line."""
-    near = slice(max(place - SETTINGS.fine, 0), place + SETTINGS.fine + 1)
+    near = slice(max(place - SETTINGS.oversampling, 0), place + SETTINGS.oversampling + 1)
     return float(grid[near][np.argmax(power[near])])
 
 
-def _chance(power: Array, grid: Array, place: int, runs: int) -> float:
+def _peak_p_value(power: Array, grid: Array, place: int, runs: int) -> float:
     """p-value of the highest power within the line width, about three independent draws."""
-    near = slice(max(place - SETTINGS.fine, 0), place + SETTINGS.fine + 1)
-    ratio = np.max(power[near]) / _neighbours(power, grid)[place]
+    near = slice(max(place - SETTINGS.oversampling, 0), place + SETTINGS.oversampling + 1)
+    ratio = np.max(power[near]) / _background(power, grid)[place]
     return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
 
 
-def _band_gain(power: Array, frequency: float, grid: Array, length: float) -> float:
+def _band_excess(power: Array, frequency: float, grid: Array, length: float) -> float:
     """Sum of squares in the band around a frequency, above that of the neighbours."""
-    excess = power - _neighbours(power, grid)
+    excess = power - _background(power, grid)
     wide = max(SETTINGS.band * frequency, 1.5 / length)
-    return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / SETTINGS.fine, 0.0)
+    return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / SETTINGS.oversampling, 0.0)
 
 
 def without_waves(r: Array, waves: Array, run: Index) -> tuple[Array, Array]:

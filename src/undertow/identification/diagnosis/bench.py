@@ -23,13 +23,13 @@ from undertow.identification.estimation.residual import (
 from undertow.identification.estimation.step import moved
 from undertow.identification.estimation.weak_form import (
     WeakFit,
-    factor_of_the_rest,
+    estimation_part_factor,
     first_part,
     fit_weak,
     fit_weak_by_run,
     free_parameters,
-    learned_from,
     mean_square,
+    used_in_estimation,
     values_in,
     with_process_noise,
     with_reestimated_noise,
@@ -47,14 +47,14 @@ class Score:
 
     r: (m,), whitened residual.
     mean_square: (2n,), mean square for each equation.
-    open: (m,), part of the residual due to unknown initial states of effects, which no model could predict;
-    that of the model with which this one is compared.
+    initial_states: (m,), part of the residual due to unknown initial states of effects, which no model
+    could predict, in the model with which this one is compared.
     error: normalised error: geometric mean over the equations of the whitened rms.
     """
 
     r: Array
     mean_square: Array
-    open: Array | float = 0.0
+    initial_states: Array | float = 0.0
 
     @property
     def error(self) -> float:
@@ -63,7 +63,8 @@ class Score:
 
 def comparable_mean_squares(before: Score, after: Score, data: WeakData) -> tuple[Array, Array]:
     """Mean squares of two models for each equation, without the part due to unknown initial states."""
-    return mean_square(before.r - after.open, data), mean_square(after.r - after.open, data)
+    unknown = after.initial_states
+    return mean_square(before.r - unknown, data), mean_square(after.r - unknown, data)
 
 
 def error_of(mean_squares: Array) -> float:
@@ -71,12 +72,12 @@ def error_of(mean_squares: Array) -> float:
     return float(np.exp(0.5 * np.nanmean(np.log(np.maximum(mean_squares, 1e-12)))))
 
 
-def scored(fit: Fitted, data: WeakData, noise: list[Whitening], beside: Array | None = None) -> Score:
-    """Score of a model on data, compared with the residual of another (see `whitened`)."""
+def score_of(fit: Fitted, data: WeakData, noise: list[Whitening], reference: Array | None = None) -> Score:
+    """Score of a model on data, relative to the residual of a reference (see `whitened`)."""
     parts = fit.model.linearise(data, fit.p)
-    r = whitened(parts, noise, beside).r
-    stated = beside is not None and any(np.any(part.start) for part in parts)
-    return Score(r, mean_square(r, data), r - whitened(parts, noise).r if stated else 0.0)
+    r = whitened(parts, noise, reference).r
+    compensated = reference is not None and any(np.any(part.start) for part in parts)
+    return Score(r, mean_square(r, data), r - whitened(parts, noise).r if compensated else 0.0)
 
 
 @dataclass(frozen=True)
@@ -99,10 +100,10 @@ class Bench:
     @cached_property
     def base_score(self) -> Score:
         """Score of the model without any candidate on the validation data."""
-        return self.judge(self.base)
+        return self.score(self.base)
 
     @cached_property
-    def stated(self) -> dict[str, float]:
+    def stated_start(self) -> dict[str, float]:
         """Stated values of the free parameters, if the refit of the model as given moved one of them far.
 
         That indicates a missing effect; with it, the stated values are the better start. Else empty.
@@ -113,25 +114,25 @@ class Bench:
         values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}
 
-    def work_out(self) -> None:
+    def precompute(self) -> None:
         """Compute once what all candidates use, before processes share this bench."""
-        for name in ("base_score", "seen", "stated"):
+        for name in ("base_score", "observed_ranges", "stated_start"):
             getattr(self, name)
 
-    def judge(self, fit: WeakFit) -> Score:
+    def score(self, fit: WeakFit) -> Score:
         """Score of a fitted model on the validation data."""
-        beside = None if fit is self.base else self.base_score.r
-        score = scored(fit, self.test, self.test_whitening, beside)
+        reference = None if fit is self.base else self.base_score.r
+        score = score_of(fit, self.test, self.test_whitening, reference)
         if not fit.model.values.known:
             return score
-        r = self._by_the_rest(fit, score.r)
-        return Score(r, mean_square(r, self.test), score.open)
+        r = self._corrected(fit, score.r)
+        return Score(r, mean_square(r, self.test), score.initial_states)
 
-    def _by_the_rest(self, fit: WeakFit, r: Array) -> Array:
+    def _corrected(self, fit: WeakFit, r: Array) -> Array:
         """A residual, raised where a fit used data of a run to the level of the rest of that run."""
         data = self.test
-        first = learned_from(fit, data.runs, data.run_of, data.time)
-        return r * np.sqrt(factor_of_the_rest(r**2, first, numbered(data.run_of, data.equation)))
+        first = used_in_estimation(fit, data.runs, data.run_of, data.time)
+        return r * np.sqrt(estimation_part_factor(r**2, first, numbered(data.run_of, data.equation)))
 
     @cached_property
     def _first_parts(self) -> list[WeakData]:
@@ -157,7 +158,7 @@ class Bench:
         """A fitted model on the validation data; unknown initial states bring no advantage over the base."""
         parts = fit.model.linearise(self.test, fit.p)
         at = whitened(parts, self.test_whitening, self.base_score.r)
-        return replace(at, r=self._by_the_rest(fit, at.r)) if fit.model.values.known else at
+        return replace(at, r=self._corrected(fit, at.r)) if fit.model.values.known else at
 
     def fit(
         self,
@@ -165,7 +166,7 @@ class Bench:
         free: Sequence[str] | None = None,
         start: Mapping[str, float] | None = None,
         *,
-        enough: float = 0.0,
+        tolerance: float = 0.0,
     ) -> WeakFit:
         """Fit a model to the training data under the noise model of the base."""
         if isinstance(model, Vehicle):
@@ -178,7 +179,7 @@ class Bench:
             start=start,
             whitening=self.train_whitening,
             disturbance=self.base.disturbance,
-            enough=enough,
+            tolerance=tolerance,
         )
         return self.in_all_runs(fit)
 
@@ -188,22 +189,22 @@ class Bench:
         rng = np.random.default_rng(0)
         return mean_square(np.concatenate([w.noise_sample(rng) for w in self.test_whitening]), self.test)
 
-    def sharpened(self, fit: WeakFit) -> Bench:
+    def with_noise_model_of(self, fit: WeakFit) -> Bench:
         """The bench with the noise model of a better fit, so that the remainder is weighted correctly."""
         fit = with_reestimated_noise(fit, most=self.settings.noise_rounds)
         test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
-        refitted = self._base_under(fit.whitening, fit.disturbance, self.settings.rough_step)
+        refitted = self._refitted_base(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     def without_disturbance(self) -> Bench:
         """The bench under sensor noise alone."""
         base = self.base
         sensor_noise = base.model.whitening(self.train, base.p)
-        refitted = self._base_under(sensor_noise, np.zeros_like(base.disturbance))
+        refitted = self._refitted_base(sensor_noise, np.zeros_like(base.disturbance))
         on_test = refitted.model.whitening(self.test, refitted.p)
         return replace(self, train_whitening=sensor_noise, test_whitening=on_test, base=refitted)
 
-    def _base_under(self, noise: list[Whitening], disturbance: Array, enough: float = 0.0) -> WeakFit:
+    def _refitted_base(self, noise: list[Whitening], disturbance: Array, tolerance: float = 0.0) -> WeakFit:
         """The model without any candidate, fitted under another noise model."""
         return fit_weak(
             self.base.model,
@@ -211,17 +212,17 @@ class Bench:
             start=self.base.values,
             whitening=noise,
             disturbance=disturbance,
-            enough=enough,
+            tolerance=tolerance,
         )
 
     @property
     def command_scale(self) -> float:
         """Typical large command, for starting values in units of the command."""
-        pieces = [np.abs(s.u) for s in self.train.segments if s.u.size]
-        return float(np.quantile(np.concatenate(pieces), 0.9)) if pieces else 1.0
+        commands = [np.abs(s.u) for s in self.train.segments if s.u.size]
+        return float(np.quantile(np.concatenate(commands), 0.9)) if commands else 1.0
 
     @cached_property
-    def seen(self) -> dict[str, tuple[float, float]]:
+    def observed_ranges(self) -> dict[str, tuple[float, float]]:
         """Range of each pose coordinate, and of the dominant frequency of the residual."""
         names = self.base.model.functions.vehicle.pose_names
         poses = np.vstack([s.measured[:, : len(names)] for s in self.train.segments])
@@ -233,14 +234,14 @@ class Bench:
 
 def open_bench(vehicle: Vehicle, train: WeakData, test: WeakData, settings: Settings = DEFAULT) -> Bench:
     """Fit the model as given and use its noise model for both parts of the data."""
-    base = _marked(fit_weak_by_run(vehicle, train))
+    base = _marked_by_run(fit_weak_by_run(vehicle, train))
     sensor_noise = base.model.whitening(test, base.p)
     noise = base.whitening, with_process_noise(sensor_noise, base.disturbance, test)
     bench = Bench(train, test, *noise, base, settings)
     return replace(bench, base=bench.in_all_runs(base))
 
 
-def _marked(fit: WeakFit) -> WeakFit:
+def _marked_by_run(fit: WeakFit) -> WeakFit:
     """The fit of a vehicle, with the parameters marked that have a value in every run."""
     if not fit.model.values.split:
         return fit

@@ -13,13 +13,7 @@ import sympy as sm
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import stated_by_run
-from undertow.identification.estimation.residual import (
-    WeakModel,
-    origins,
-    plain,
-    run_of,
-    with_values_by_run,
-)
+from undertow.identification.estimation.residual import WeakModel, origins, plain, run_of, with_values_by_run
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
@@ -63,9 +57,9 @@ class Candidate:
         known = {p.name for p in stated if p is not None}
         names = set(self.vehicle.parameter_names) - {*self.redundant}
         own = next(e for e in self.vehicle.effects if e.id == self.id).parameters
-        return tuple(p for p in own if p.name in names and p.name not in known and self._open(p))
+        return tuple(p for p in own if p.name in names and p.name not in known and self._is_estimated(p))
 
-    def _open(self, parameter: Parameter) -> bool:
+    def _is_estimated(self, parameter: Parameter) -> bool:
         """Whether a parameter has to be estimated: not those that a present effect takes as known."""
         if parameter.default is None:
             return True
@@ -93,7 +87,7 @@ class Candidate:
         alone = {p.name for p in self.parameters if not p.earth_axis}
         return tuple(n for n in self.sizes if n in alone)
 
-    def shown_by(self, kept: Collection[str]) -> bool:
+    def made_up_by(self, kept: Collection[str]) -> bool:
         """Whether these parameters of the effect alone, with all others zero, still make up the effect."""
         return any(p.alone for p in self.parameters if p.name in kept)
 
@@ -124,27 +118,27 @@ class Candidate:
         names = {plain(n) for n in start if run_of(n)} & own
         return self.model(with_values_by_run(self.free(), sorted(names), self.runs))
 
-    def on(self, base: Vehicle) -> Candidate:
+    def for_model(self, base: Vehicle) -> Candidate:
         """The same effect as a candidate for another model."""
         return replace(self, base=base)
 
     def starts(
-        self, command_scale: float, seen: Mapping[str, tuple[float, float]] | None = None
+        self, command_scale: float, ranges: Mapping[str, tuple[float, float]] | None = None
     ) -> list[dict[str, float]]:
         """Starting points of the search: one for each combination of the shape parameters' starts, unless the
         effect provides better ones for the observed poses.
         """
         shaped = [p for p in self.parameters if p.starts]
-        if seen and (near := self.effect.starts_near(seen)):
+        if ranges and (near := self.effect.starts_near(ranges)):
             wanted = {p.name for p in shaped}
             points = ({n: v for n, v in point.items() if n in wanted} for point in near)
-            return [dict(one) for one in dict.fromkeys(tuple(p.items()) for p in points)]
+            return [dict(point) for point in dict.fromkeys(tuple(p.items()) for p in points)]
         grids = [[_start(p, s, command_scale) for s in p.starts] for p in shaped]
         return [
             dict(zip((p.name for p in shaped), combination, strict=True)) for combination in product(*grids)
         ]
 
-    def adopted(self, values: Mapping[str, float]) -> Vehicle:
+    def vehicle_with(self, values: Mapping[str, float]) -> Vehicle:
         """The model with the effect added permanently: its parameters as found, all others as stated."""
         by_run = {plain(n) for n in values if run_of(n)}
         found = {
@@ -169,37 +163,37 @@ def possible(
     known: Catalogue,
     *,
     derived: Collection[str] = (),
-    unchecked: Collection[str] = (),
+    without_pose: Collection[str] = (),
     runs: tuple[str, ...] = (),
 ) -> list[Candidate]:
     """All effects of the catalogue that could be added to a vehicle, also those that add nothing to it.
 
     derived: velocities that were taken from the pose. Errors of their sensors are not tried: a rate that no
     gyro measured has no scale error and no bias.
-    unchecked: velocities beside which no pose was measured. Their scale is not tried: it stands for that of
-    inertia and drag, whatever is wrong with these.
+    without_pose: velocities whose pose coordinate was not measured. Their scale is not tried:
+    it is equivalent to a scale of inertia and drag, whatever their errors.
     """
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
     fitting = [c for c in fitting if c.suits(vehicle.degrees_of_freedom)]
     made = (Candidate(c, vehicle, runs) for c in fitting)
-    marked = (replace(c, redundant=_of_no_sensor(c, derived, unchecked)) for c in made)
+    marked = (replace(c, redundant=_unmeasured_parameters(c, derived, without_pose)) for c in made)
     return [c for c in marked if c.parameters or not c.redundant]
 
 
 def possible_in(data: WeakData, vehicle: Vehicle, known: Catalogue) -> list[Candidate]:
     """The same as `possible`, for some logs."""
-    measured = {"derived": data.derived_names, "unchecked": data.unchecked_names}
+    measured = {"derived": data.derived_names, "without_pose": data.names_without_pose}
     return possible(vehicle, known, **measured, runs=origins(data.runs))
 
 
-def _of_no_sensor(
-    candidate: Candidate, derived: Collection[str], unchecked: Collection[str]
+def _unmeasured_parameters(
+    candidate: Candidate, derived: Collection[str], without_pose: Collection[str]
 ) -> tuple[str, ...]:
     """Parameters of a velocity sensor that change no velocity but those that none measured or can show it."""
     effect = candidate.effect
     if not (issubclass(effect, Measurement) and effect.of_velocity_sensor):
         return ()
-    out = {*derived, *(unchecked if effect.by_pose else ())}
+    out = {*derived, *(without_pose if effect.by_pose else ())}
     if not out:
         return ()
     vehicle = candidate.vehicle
@@ -207,8 +201,8 @@ def _of_no_sensor(
         vehicle.composition.reported[1], vehicle.composition.report_age[-len(vehicle.velocity_names) :, :]
     )
     measured = [i for i, name in enumerate(vehicle.velocity_names) if name not in out]
-    felt = {str(x) for i in measured for entry in rows[i, :] for x in entry.free_symbols}
-    return tuple(p.name for p in candidate.parameters if p.name not in felt)
+    used = {str(x) for i in measured for entry in rows[i, :] for x in entry.free_symbols}
+    return tuple(p.name for p in candidate.parameters if p.name not in used)
 
 
 def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -> tuple[float, float] | None:
@@ -227,13 +221,13 @@ def dominant_frequency(r: Array, data: WeakData, settings: Settings = DEFAULT) -
     if len(grid) <= 2 * neighbours:
         return None
     slow = np.arange(0.0, settings.line_periods + 0.5) * cell
-    power = _power(_turned(_without(r, data, slow), data), data, grid)
-    best = float(grid[np.argmax(power / _beside(power, neighbours))])
-    wide = settings.line_half_width * cell
-    return max(best - wide, 0.5 * cell), best + wide
+    power = _power(_in_earth_axes(_without_slow_part(r, data, slow), data), data, grid)
+    best = float(grid[np.argmax(power / _running_median(power, neighbours))])
+    half_width = settings.line_half_width * cell
+    return max(best - half_width, 0.5 * cell), best + half_width
 
 
-def _without(r: Array, data: WeakData, slow: Array) -> Array:
+def _without_slow_part(r: Array, data: WeakData, slow: Array) -> Array:
     """The residual without slow oscillations in body axes, which turning modulates in earth axes."""
     table, kept, first = r.reshape(-1, len(data.rows)), [], 0
     for s in data.segments:
@@ -245,7 +239,7 @@ def _without(r: Array, data: WeakData, slow: Array) -> Array:
     return np.vstack(kept).ravel()
 
 
-def _turned(r: Array, data: WeakData) -> Array:
+def _in_earth_axes(r: Array, data: WeakData) -> Array:
     """The residual with its horizontal part in earth axes: waves do not turn with the vehicle."""
     half = len(data.names) // 2
     places = [data.names.index(n) for n in ("u", "v", "psi") if n in data.names]
@@ -271,7 +265,7 @@ def _power(r: Array, data: WeakData, grid: Array) -> Array:
     return power
 
 
-def _beside(power: Array, wide: int) -> Array:
+def _running_median(power: Array, half: int) -> Array:
     """Median power around each frequency, over this many on either side."""
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, wide, mode="reflect"), 2 * wide + 1)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
     return np.asarray(np.median(windows, axis=1))

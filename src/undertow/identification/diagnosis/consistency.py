@@ -23,21 +23,21 @@ from undertow.typing import Array, Flags, Index
 from .bench import Bench
 from .candidates import Candidate
 from .evidence import FoundEffect, fitted
+from .prediction_gain import PredictionGain, best_in_resamples, compared_channels, gain_of_effects
 from .settings import DEFAULT, Settings
 from .validation import SimulationValidator
-from .worth import Worth, best_in_resamples, compared, gained
 
 
-# --- whether it says the same everywhere ----------------------------------------------------------
+# --- whether its size is the same everywhere ------------------------------------------------------
 @dataclass(frozen=True)
-class Agreement:
+class SizeByPart:
     """Size of an effect in parts of the logs, in units of the fitted one.
 
-    over: kind of parts: runs, parts of a run, levels of a signal.
+    division: kind of parts: runs, parts of a run, levels of a signal.
     value, error: (k,), size in every part, and its standard error, robust to correlation within blocks.
     """
 
-    over: str
+    division: str
     value: Array
     error: Array
 
@@ -64,56 +64,56 @@ class Agreement:
         low, high = self.value.min(), self.value.max()
         return (
             f"its size would have to vary from {low:.0%} to {high:.0%} of the fitted value between "
-            f"{self.over}"
+            f"{self.division}"
         )
 
 
-def agreements(finding: FoundEffect, bench: Bench) -> list[Agreement]:
+def sizes_by_part(finding: FoundEffect, bench: Bench) -> list[SizeByPart]:
     """Size of an effect by run, by time within the runs, and by the level of every signal, over all logs."""
     pairs = [(bench.base.at.r, bench.train), (bench.base_score.r, bench.test)]
     fit = finding.trial.fit
     after = [bench.on_train(fit).r, finding.trial.score.r]
     change = np.concatenate([a - r for a, (r, _) in zip(after, pairs, strict=True)])
     before = np.concatenate([r for r, _ in pairs])
-    block = _numbered([data.block for _, data in pairs])
+    block = _unique_numbers([data.block for _, data in pairs])
     kinds = {
-        "runs": _numbered([_runs(data) for _, data in pairs]),
-        "parts of a run": np.concatenate([_times(data, bench.settings) for _, data in pairs]),
+        "runs": _unique_numbers([_run_of_row(data) for _, data in pairs]),
+        "parts of a run": np.concatenate([_part_of_run(data, bench.settings) for _, data in pairs]),
     }
     kinds |= {
-        f"levels of {name}": _levels(np.concatenate(values), bench.settings)
+        f"levels of {name}": _quantile_level(np.concatenate(values), bench.settings)
         for name, values in _signals([data for _, data in pairs]).items()
     }
-    found = [_agreement(over, before, change, part, block, bench.settings) for over, part in kinds.items()]
+    found = [_size_by_part(name, before, change, part, block, bench.settings) for name, part in kinds.items()]
     return [a for a in found if len(a.value) > 1]
 
 
-def disagreement(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect] = ()) -> str:
+def size_inconsistency(finding: FoundEffect, bench: Bench, later: Sequence[FoundEffect] = ()) -> str:
     """How the size of an effect differs between parts of the logs, in words; empty if it does not.
 
     Other missing effects shift it: an effect is consistent if it is so with later effects in the model.
     """
-    words = _differing(finding, bench)
+    words = _inconsistency(finding, bench)
     vehicle = bench.base.model.functions.vehicle
-    there = {e.id for e in vehicle.effects} | {finding.id}
-    others = [f for f in later if f.id not in there]
+    present = {e.id for e in vehicle.effects} | {finding.id}
+    others = [f for f in later if f.id not in present]
     if not words or not others:
         return words
     without, both = (fitted(vehicle, more, bench) for more in (others, [finding, *others]))
     grown = replace(finding, trial=replace(finding.trial, fit=both.fit, score=both.score))
-    return _differing(grown, replace(bench, base=without.fit))
+    return _inconsistency(grown, replace(bench, base=without.fit))
 
 
-def _differing(finding: FoundEffect, bench: Bench) -> str:
-    parts = agreements(finding, bench)
+def _inconsistency(finding: FoundEffect, bench: Bench) -> str:
+    parts = sizes_by_part(finding, bench)
     if not parts:
         return "no single part of the logs determines its size"
     return next(filter(None, (a.doubt(bench.settings, len(parts)) for a in parts)), "")
 
 
-def _agreement(
-    over: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
-) -> Agreement:
+def _size_by_part(
+    division: str, before: Array, change: Array, part: Index, block: Index, settings: Settings
+) -> SizeByPart:
     """Sizes by part: the fraction of the change that minimises the residual there."""
     power = np.bincount(part, change**2)
     size = -np.bincount(part, before * change) / np.maximum(power, 1e-300)
@@ -122,31 +122,31 @@ def _agreement(
     np.add.at(table, (part, block), score)
     error = np.sqrt(np.maximum(np.sum(table**2, axis=1), power)) / np.maximum(power, 1e-300)
     known = (power > 0.0) & (error < settings.part_error)
-    return Agreement(over, size[known], error[known])
+    return SizeByPart(division, size[known], error[known])
 
 
-def _numbered(parts: Sequence[Index]) -> Index:
+def _unique_numbers(parts: Sequence[Index]) -> Index:
     """Numbers of several tables, made unique."""
     first = np.cumsum([0, *(int(p.max(initial=-1)) + 1 for p in parts)])
     return np.concatenate([p + start for p, start in zip(parts, first, strict=False)])
 
 
-def _per_row(data: WeakData, values: Sequence[Array]) -> Array:
+def _by_row(data: WeakData, values: Sequence[Array]) -> Array:
     """Values at the test functions of every segment as values of the rows."""
     return np.concatenate([np.repeat(v, len(data.rows)) for v in values])
 
 
-def _runs(data: WeakData) -> Index:
-    return _per_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
+def _run_of_row(data: WeakData) -> Index:
+    return _by_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
 
 
-def _times(data: WeakData, settings: Settings) -> Index:
+def _part_of_run(data: WeakData, settings: Settings) -> Index:
     shares = []
     for s in data.segments:
         t = data.runs[s.run].t
         share = (s.functions.centre - t[0]) / (t[-1] - t[0])
         shares.append(np.clip((share * settings.size_parts).astype(np.intp), 0, settings.size_parts - 1))
-    return _per_row(data, shares).astype(np.intp)
+    return _by_row(data, shares).astype(np.intp)
 
 
 def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
@@ -165,16 +165,16 @@ def _signals(data: Sequence[WeakData]) -> dict[str, list[Array]]:
                     rows.setdefault(name, []).append(np.interp(s.functions.centre, s.t, values))
         for name, values in rows.items():
             if len(values) == len(d.segments):
-                found.setdefault(name, []).append(_per_row(d, values))
+                found.setdefault(name, []).append(_by_row(d, values))
     return {name: values for name, values in found.items() if len(values) == len(data)}
 
 
-def _levels(values: Array, settings: Settings) -> Index:
+def _quantile_level(values: Array, settings: Settings) -> Index:
     edges = np.quantile(values, np.arange(1, settings.size_parts) / settings.size_parts)
     return np.digitize(values, edges).astype(np.intp)
 
 
-# --- whether it stays the same beside another force ------------------------------------------------
+# --- whether it keeps its size with another force in the model --------------------------------------
 class Kept(NamedTuple):
     """Size and improvement of effects with another one in the model, relative to those without it.
 
@@ -186,17 +186,13 @@ class Kept(NamedTuple):
     gain: float
 
 
-def kept_beside(
-    effect: FoundEffect,
-    other: FoundEffect,
-    before: Fitted,
-    bench: Bench,
-    validator: SimulationValidator,
+def kept_with(
+    effect: FoundEffect, other: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator
 ) -> Kept:
     """Size and gain that an effect keeps with another one in the model.
 
-    All of it where predictions are clearly worse with that one alone: what stands in for something predicts
-    no better than it. All of its size where predictions do not get better with the other one beside it.
+    All of both if predictions are clearly worse with the other one alone: a proxy predicts no better than
+    what it stands for. All of its size if the other one does not improve predictions in addition to it.
 
     before: the model without either, fitted like the final result.
     """
@@ -205,19 +201,19 @@ def kept_beside(
     def final(findings: Sequence[FoundEffect]) -> Fitted:
         return validator.final(fitted(vehicle, findings, bench).fit)[0]
 
-    def worth(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> Worth:
-        return gained(without, with_it, [effect], validator)
+    def gain_of(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> PredictionGain:
+        return gain_of_effects(without, with_it, [effect], validator)
 
     given = final([effect])
     ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
-    pair = [compared(each, [effect], validator) for each in (ahead, rival)]
+    pair = [compared_channels(each, [effect], validator) for each in (ahead, rival)]
     if best_in_resamples(pair, settings)[0] >= settings.best_share:
         return Kept(1.0, 1.0)
     both = final([other, effect])
     joint = validator.squares_ahead(both)
-    alone = worth(validator.squares_ahead(before), ahead).gain
-    gain = worth(rival, joint).gain / alone if alone > 0.0 else 1.0
-    if not worth(ahead, joint).enough(settings.worth):
+    alone = gain_of(validator.squares_ahead(before), ahead).log_fall
+    gain = gain_of(rival, joint).log_fall / alone if alone > 0.0 else 1.0
+    if not gain_of(ahead, joint).suffices(settings.worth):
         return Kept(1.0, gain)
     names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
     own = [n for n in given.model.free if plain(n) in names]
@@ -233,7 +229,7 @@ def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
     return float(weight @ second / max(weight @ first, 1e-300))
 
 
-# --- whether these logs show what is special about it -----------------------------------------------
+# --- whether the logs determine its characteristic parameters ---------------------------------------
 def undetermined(
     effect: Effect, values: Mapping[str, float], covariance: Array, settings: Settings = DEFAULT
 ) -> str:
@@ -247,9 +243,9 @@ def undetermined(
     values, covariance: of the free parameters of a model, its own among them, in the same order.
     """
     own = [p for p in effect.parameters if p.name in values]
-    words = _words(own, values, covariance)
+    words = _printed(own, values, covariance)
     differ = partial(_differ_from_zero, values, covariance, settings)
-    known = {n for group in _groups(own) if differ(group) for n in group}
+    known = {n for group in _jointly_tested(own) if differ(group) for n in group}
     for p in own:
         own_time = bool(effect.states) and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
@@ -269,7 +265,7 @@ def undetermined(
     return ""
 
 
-def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
+def _printed(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
     """Parameters with standard error and unit, by name."""
     errors = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return {
@@ -277,10 +273,10 @@ def _words(own: Sequence[Parameter], values: Mapping[str, float], covariance: Ar
     }
 
 
-def _groups(own: Sequence[Parameter]) -> list[list[str]]:
+def _jointly_tested(own: Sequence[Parameter]) -> list[list[str]]:
     """Parameters that differ from zero each for itself, or as the vector of which they are components.
 
-    North and east are no axes of a vehicle: a vector along them is known in whatever direction it is.
+    North and east are not axes of the vehicle: a vector along them may be determined in any direction.
     """
     vector = [p.name for p in own if p.earth_axis]
     return [[p.name] for p in own if not p.earth_axis] + [vector] * bool(vector)
@@ -296,14 +292,14 @@ def _differ_from_zero(
     return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names)))
 
 
-def left_open(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
+def undetermined_by_fit(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
     """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
     effect = finding.trial.candidate.effect(())
     free = {n: fit.values[n] for n in fit.model.free}
-    return undetermined(effect, free, fit.covariance, settings) or _at_limit(effect, fit)
+    return undetermined(effect, free, fit.covariance, settings) or _arm_at_bound(effect, fit)
 
 
-def without_size(finding: FoundEffect, fit: Fitted) -> Fitted | None:
+def with_effect_zero(finding: FoundEffect, fit: Fitted) -> Fitted | None:
     """A fit with the effect set to zero and all else as it is; None if the effect has values by run.
 
     If it predicts as well, the fit has only reached another local minimum: the effect improves nothing.
@@ -319,11 +315,11 @@ def without_size(finding: FoundEffect, fit: Fitted) -> Fitted | None:
     return fit.with_parameters(values)
 
 
-def _at_limit(effect: Effect, fit: Fitted) -> str:
+def _arm_at_bound(effect: Effect, fit: Fitted) -> str:
     """Which place is as far off as anything aboard the vehicle can be, in words; empty if none.
 
-    A moment without a force acts at infinity: no wind turns a hull that it does not push. What fits best
-    there is not what it is called, even if it leaves only noise.
+    A moment without a force acts at infinity: no wind turns a hull that it does not push. Such a fit does not
+    confirm the effect, even if it leaves only noise.
     """
     places = {p.name: p.unit for p in effect.parameters if p.arm_of}
     if not places:
@@ -336,7 +332,7 @@ def _at_limit(effect: Effect, fit: Fitted) -> str:
     return ""
 
 
-def no_step(finding: FoundEffect, bench: Bench) -> str:
+def step_wider_than_motion(finding: FoundEffect, bench: Bench) -> str:
     """Which smoothed step of an effect is wider than the motion, in words; empty if none.
 
     Friction that is fully developed only at speeds that the logs hardly reach is ordinary damping.
@@ -346,7 +342,7 @@ def no_step(finding: FoundEffect, bench: Bench) -> str:
         if (
             p.step_width
             and p.name in fit.model.free
-            and fit.values[p.name] > _most_moved(p.unit, bench.train)
+            and fit.values[p.name] > _largest_velocity_rms(p.unit, bench.train)
         ):
             return (
                 f"{p.name} = {fit.values[p.name]:.2g} {p.unit} exceeds the rms of the motion, so it is "
@@ -355,7 +351,7 @@ def no_step(finding: FoundEffect, bench: Bench) -> str:
     return ""
 
 
-def _most_moved(unit: str, data: WeakData) -> float:
+def _largest_velocity_rms(unit: str, data: WeakData) -> float:
     """The largest rms of the velocities in a unit."""
     half = len(data.names) // 2
     moved = np.vstack([s.measured[:, half:] for s in data.segments])
@@ -387,7 +383,7 @@ def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
     return [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
 
 
-def never_turned(finding: FoundEffect, bench: Bench) -> str:
+def constant_heading(finding: FoundEffect, bench: Bench) -> str:
     """Why these logs cannot tell a current from a body-fixed force; empty if they can.
 
     For a sensor of speed through the water they always can: no force acts between pose and velocity.
@@ -396,15 +392,15 @@ def never_turned(finding: FoundEffect, bench: Bench) -> str:
         return ""
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     headings = [r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]
-    # Another heading in another run tells nothing of a current that each run has of its own.
+    # If every run has a current of its own, headings of other runs carry no information on it.
     by_run = any(plain(name) != name for name in finding.trial.fit.model.free)
-    turned = max(map(_turned, headings)) if by_run else _turned(np.concatenate(headings))
+    turned = max(map(_heading_range, headings)) if by_run else _heading_range(np.concatenate(headings))
     if turned >= bench.settings.least_turn:
         return ""
     return f"the heading turns by only {turned:.2g} rad: a body-fixed force may explain the same"
 
 
-def _turned(heading: Array) -> float:
+def _heading_range(heading: Array) -> float:
     """Range of directions, rad."""
     direction = np.exp(1j * heading[np.isfinite(heading)])
     return float(np.ptp(np.angle(direction / np.sum(direction))))
@@ -415,14 +411,14 @@ def _added_symbols(base: Vehicle, grown: Vehicle) -> set[str]:
     return {str(s) for s in (grown.residual - base.residual).free_symbols}
 
 
-def states_time(base: Vehicle, grown: Vehicle) -> bool:
+def depends_on_time(base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect depends explicitly on time, as waves do."""
     return "t" in _added_symbols(base, grown)
 
 
-def knows_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
+def may_depend_on_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect may depend explicitly on time; all actuator effects may."""
-    return states_time(base, grown) or candidate.effect.family == "actuation"
+    return depends_on_time(base, grown) or candidate.effect.family == "actuation"
 
 
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
@@ -433,8 +429,8 @@ def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[
     """
     symbols = _added_symbols(base, grown) - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
-    there = (*base.velocity_names, *base.pose_names, *base.command_names)
-    if found := tuple(n for n in there if n in names):
+    present = (*base.velocity_names, *base.pose_names, *base.command_names)
+    if found := tuple(n for n in present if n in names):
         return found
     if issubclass(candidate.effect, Measurement):
         return base.velocity_names

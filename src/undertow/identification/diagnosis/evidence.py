@@ -82,19 +82,19 @@ def as_good(best: Score, other: Score, bench: Bench) -> bool:
     return gap.p_value > settings.comparison_level or gap.mean < settings.least_fall
 
 
-def too_quick_to_tell(one: FoundEffect, other: FoundEffect, bench: Bench) -> bool:
+def too_fast_to_distinguish(one: FoundEffect, other: FoundEffect, bench: Bench) -> bool:
     """Whether two effects that shift commands in time differ only within a fraction of a sample.
 
     A lag that short and a dead time as long differ by how the weak form integrates between samples.
     """
-    times, enough = [_times(f) for f in (one, other)], bench.settings.named_share
-    if not all(times) or min(one.explained, other.explained) < enough:
+    delays, enough = [_delays(f) for f in (one, other)], bench.settings.named_share
+    if not all(delays) or min(one.explained, other.explained) < enough:
         return False
     step = min(float(np.median(np.diff(s.t))) for s in bench.test.segments)
-    return min(map(max, times)) < bench.settings.resolved_time * step
+    return min(map(max, delays)) < bench.settings.resolved_time * step
 
 
-def _times(finding: FoundEffect) -> list[float]:
+def _delays(finding: FoundEffect) -> list[float]:
     """Free parameters, s, of an effect that acts on commands, if all are times."""
     if not issubclass(finding.trial.candidate.effect, Actuation):
         return []
@@ -134,7 +134,7 @@ class FoundEffect:
         """Id of the effect."""
         return self.trial.id
 
-    def by_slow_disturbance(self, settings: Settings = DEFAULT) -> bool:
+    def may_be_slow_disturbance(self, settings: Settings = DEFAULT) -> bool:
         """Whether a slow disturbance would score as well by chance: then the effect may be one."""
         return self.slow_p_value >= settings.false_alarm_rate
 
@@ -167,25 +167,25 @@ def hidden_by_disturbance(bench: Bench) -> bool:
     initial states absorb part of a small steady force. Simulation then decides if it is needed.
     """
     ratio = noise_ratio(bench.base, bench.test)
-    return a_little_more_than_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
+    return slightly_above_noise(bench.base.disturbance, ratio, rows_of(bench.test), bench.settings)
 
 
-def a_little_more_than_noise(
+def slightly_above_noise(
     disturbance: Array, ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT
 ) -> bool:
     """Whether mean squares exceed noise, but not by far, and there is process noise to absorb them."""
     if not np.any(disturbance) or is_noise(ratio, rows, settings):
         return False
-    # What is far off hardly comes down to noise by what the first search has not found.
+    # A large excess is unlikely to be removed by effects that the first search did not find.
     return bool(np.nanmax(ratio) < settings.second_look_limit)
 
 
-def explains_all(bare: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
+def explains_all(bench: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool:
     """Whether only noise remains with effects that were found without a disturbance in the noise model."""
-    scores = comparable_mean_squares(bare.base_score, bare.judge(fit), bare.test)
-    share = explained(*scores, bare.noise_level, bare.settings)
-    # A model that is just above the limit of noise may get below it by chance.
-    return share >= bare.settings.second_look_share and residual_is_noise(fit, bare.test)
+    scores = comparable_mean_squares(bench.base_score, bench.score(fit), bench.test)
+    share = explained(*scores, bench.noise_level, bench.settings)
+    # A model just above the noise limit may fall below it by chance.
+    return share >= bench.settings.second_look_share and residual_is_noise(fit, bench.test)
 
 
 @dataclass(frozen=True)
@@ -195,10 +195,10 @@ class Blocks:
     The whitened residual of the model is r + shift + J delta: r is that of the model without the candidate,
     shift its change by the candidate at the point of linearisation, J its derivative there.
 
-    table: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
+    grams: (B, k + 2, k + 2), gram matrices of the columns of J (k of them), shift and r, one for each block.
     """
 
-    table: Array
+    grams: Array
 
     @classmethod
     def of(cls, J: Array, shift: Array, r: Array, block: NDArray[np.intp]) -> Blocks:
@@ -212,27 +212,27 @@ class Blocks:
     @property
     def count(self) -> int:
         """Number of blocks."""
-        return len(self.table)
+        return len(self.grams)
 
-    def joined(self, group: NDArray[np.intp]) -> Blocks:
+    def merged(self, group: NDArray[np.intp]) -> Blocks:
         """With the blocks of a group merged; `group` (B,) is the number of that of each block."""
-        table = np.zeros((int(group.max()) + 1, *self.table.shape[1:]))
-        np.add.at(table, group, self.table)
-        return Blocks(table)
+        grams = np.zeros((int(group.max()) + 1, *self.grams.shape[1:]))
+        np.add.at(grams, group, self.grams)
+        return Blocks(grams)
 
     @cached_property
     def gram(self) -> Array:
         """J' J over all blocks, shape (k, k)."""
-        return np.asarray(self.table[:, :-2, :-2].sum(axis=0))
+        return np.asarray(self.grams[:, :-2, :-2].sum(axis=0))
 
     def slope(self, signs: Array) -> Array:
         """J' (signs r + shift), shape (draws, k), for signs of the blocks of shape (draws, B)."""
-        return np.asarray(signs @ self.table[:, :-2, -1] + self.table[:, :-2, -2].sum(axis=0))
+        return np.asarray(signs @ self.grams[:, :-2, -1] + self.grams[:, :-2, -2].sum(axis=0))
 
     def squares(self, signs: Array, delta: Array) -> Array:
         """|signs r + shift + J delta|^2, shape (draws,), for delta of shape (draws, k)."""
-        own = self.table[:, -2:, -2:].sum(axis=0)
-        constant = own[0, 0] + own[1, 1] + 2 * signs @ self.table[:, -2, -1]
+        own = self.grams[:, -2:, -2:].sum(axis=0)
+        constant = own[0, 0] + own[1, 1] + 2 * signs @ self.grams[:, -2, -1]
         return np.asarray(
             constant
             + 2 * np.einsum("dk,dk->d", delta, self.slope(signs))
@@ -241,35 +241,34 @@ class Blocks:
 
     def without(self, dropped: int) -> Blocks:
         """The model without the shift and the last `dropped` columns of J, that is, without the candidate."""
-        size = self.table.shape[1]
+        size = self.grams.shape[1]
         kept = [*range(size - 2 - dropped), size - 2, size - 1]
-        table = self.table[:, kept][:, :, kept].copy()
-        table[:, -2, :] = table[:, :, -2] = 0.0
-        return Blocks(table)
+        grams = self.grams[:, kept][:, :, kept].copy()
+        grams[:, -2, :] = grams[:, :, -2] = 0.0
+        return Blocks(grams)
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linearisation:
     """A candidate linearised at its fit, on training and validation data.
 
-    train, test: the model's own parameters first, the candidate's last.
-    own: number of columns that belong to the candidate.
+    train, test: parameters of the model first, the candidate's last.
+    added: number of columns that belong to the candidate.
     stiffness: (k,), weight of the stated priors.
     """
 
     train: Blocks
     test: Blocks
-    own: int
+    added: int
     stiffness: Array
 
     def falls(self, train_signs: Array, test_signs: Array) -> Array:
         """Fall of the validation mean square by the candidate when both models are refitted, (draws,).
 
-        Relative to its value before: the remainder sets how much chance can do.
+        Relative to its value before, since the size of the residual sets the size of chance falls.
         """
-        without = Linear(
-            self.train.without(self.own), self.test.without(self.own), 0, self.stiffness[: -self.own or None]
-        )
+        stiffness = self.stiffness[: -self.added or None]
+        without = Linearisation(self.train.without(self.added), self.test.without(self.added), 0, stiffness)
         before = without._squares(train_signs, test_signs)
         return np.asarray(1.0 - self._squares(train_signs, test_signs) / np.maximum(before, 1e-300))
 
@@ -277,16 +276,15 @@ class Linear:
         delta = -self.train.slope(train_signs) @ _inverse(self.train.gram, self.stiffness)
         return self.test.squares(test_signs, delta)
 
-    def left_out(self) -> Array:
+    def left_out_falls(self) -> Array:
         """Fall of the sum of squares of each block by the candidate, (B,): both models are fitted to all
         other blocks, of training and validation data (cross-validation).
         """
-        table = np.concatenate([self.train.table, self.test.table])
-        own = len(self.stiffness) - self.own
-        without = [*range(own), -1]
-        return _squares_left_out(table[:, without][:, :, without], self.stiffness[:own]) - _squares_left_out(
-            table, self.stiffness
-        )
+        grams = np.concatenate([self.train.grams, self.test.grams])
+        count = len(self.stiffness) - self.added
+        without = [*range(count), -1]
+        before = _left_out_squares(grams[:, without][:, :, without], self.stiffness[:count])
+        return before - _left_out_squares(grams, self.stiffness)
 
     def resampled(self, train_weight: Array, test_weight: Array) -> Array:
         """Validation sum of squares after a refit to weighted blocks, shape (draws,)."""
@@ -295,7 +293,7 @@ class Linear:
         )
 
     def _weighted(self, train: Array, test: Array) -> float:
-        fitted, judged = (np.tensordot(w, b.table, 1) for w, b in ((train, self.train), (test, self.test)))
+        fitted, judged = (np.tensordot(w, b.grams, 1) for w, b in ((train, self.train), (test, self.test)))
         k = len(self.stiffness)
         ones = np.ones(2)
         slope = fitted[:k, k:] @ ones
@@ -306,18 +304,18 @@ class Linear:
 
 def _inverse(gram: Array, stiffness: Array) -> Array:
     """Inverse of the information; a parameter without any influence on the data stays unchanged."""
-    felt = np.diag(gram) > 0.0
+    used = np.diag(gram) > 0.0
     inverse = np.zeros_like(gram)
-    inverse[np.ix_(felt, felt)] = inverse_of((gram + np.diag(stiffness**2))[np.ix_(felt, felt)])
+    inverse[np.ix_(used, used)] = inverse_of((gram + np.diag(stiffness**2))[np.ix_(used, used)])
     return inverse
 
 
-def _squares_left_out(table: Array, stiffness: Array) -> Array:
+def _left_out_squares(grams: Array, stiffness: Array) -> Array:
     """Sum of squares of each block, (B,), at the parameters fitted to all others.
 
-    table: (B, k + n, k + n), gram matrices of k columns and of the n parts of the residual.
+    grams: (B, k + n, k + n), gram matrices of k columns and of the n parts of the residual.
     """
-    k, whole = len(stiffness), table.sum(axis=0)
+    k, whole = len(stiffness), grams.sum(axis=0)
     parts = np.ones(len(whole) - k)
 
     def squares(block: Array) -> float:
@@ -326,10 +324,10 @@ def _squares_left_out(table: Array, stiffness: Array) -> Array:
         at = np.concatenate([delta, parts])
         return float(at @ block @ at)
 
-    return np.array([squares(block) for block in table])
+    return np.array([squares(block) for block in grams])
 
 
-def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
+def null_distribution(candidates: Sequence[Linearisation], settings: Settings = DEFAULT) -> Array:
     """Largest relative fall of the validation error by any candidate if nothing is missing, (draws,).
 
     The residual of the model without any candidate keeps its size and its correlation within blocks; the sign
@@ -344,47 +342,47 @@ def null_distribution(candidates: Sequence[Linear], settings: Settings = DEFAULT
 
 
 @dataclass(frozen=True)
-class Chance:
+class NullDistributions:
     """Null distribution of the best of all candidates, with blocks as long as each of them needs.
 
     A slow disturbance extends over several blocks: if blocks are correlated there are fewer independent
-    pieces than blocks, and chance findings are larger than their signs suggest. The quantity that has to be
+    segments than blocks, and chance findings are larger than their signs suggest. The quantity that has to be
     uncorrelated is the product of the change by an effect and the residual of the best candidate (its score).
     """
 
-    candidates: Sequence[Linear]
+    candidates: Sequence[Linearisation]
     bench: Bench
-    _known: dict[int, Array] = field(default_factory=dict)
+    _cache: dict[int, Array] = field(default_factory=dict)
 
-    def p_value(self, fall: float, times: int) -> float:
+    def p_value(self, fall: float, factor: int) -> float:
         """Probability that the best reduces the error as much, with blocks longer by this factor."""
-        if times not in self._known:
-            joined = [with_longer_blocks(c, times, self.bench) for c in self.candidates]
-            self._known[times] = null_distribution(joined, self.bench.settings)
-        return p_value(fall, self._known[times])
+        if factor not in self._cache:
+            merged = [with_longer_blocks(c, factor, self.bench) for c in self.candidates]
+            self._cache[factor] = null_distribution(merged, self.bench.settings)
+        return p_value(fall, self._cache[factor])
 
 
-def with_longer_blocks(candidate: Linear, times: int, bench: Bench) -> Linear:
+def with_longer_blocks(candidate: Linearisation, factor: int, bench: Bench) -> Linearisation:
     """The candidate with blocks longer by this factor."""
-    if times == 1:
+    if factor == 1:
         return candidate
-    train, test = (_groups(data, times) for data in (bench.train, bench.test))
-    return replace(candidate, train=candidate.train.joined(train), test=candidate.test.joined(test))
+    train, test = (_longer_block(data, factor) for data in (bench.train, bench.test))
+    return replace(candidate, train=candidate.train.merged(train), test=candidate.test.merged(test))
 
 
-def _groups(data: WeakData, times: int) -> NDArray[np.intp]:
+def _longer_block(data: WeakData, factor: int) -> NDArray[np.intp]:
     """Number of the longer block that each block of the data is in, (B,)."""
     first = np.unique(data.block, return_index=True)[1]
-    return data.blocks_of(times * data.block_seconds)[first]
+    return data.blocks_of(factor * data.block_seconds)[first]
 
 
-def times_longer(trial: Trial, left: Array, bench: Bench) -> int:
+def block_length_factor(trial: Trial, residual: Array, bench: Bench) -> int:
     """Factor by which blocks have to be longer for the score of an effect to be uncorrelated between them.
 
-    left: (m,), residual of the best candidate on the training data: the closest estimate of the disturbance.
+    residual: (m,), that of the best candidate on the training data: the closest estimate of the disturbance.
     """
     data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
-    score = (left * change).reshape(-1, len(data.rows)).sum(axis=1)
+    score = (residual * change).reshape(-1, len(data.rows)).sum(axis=1)
     longest = data.seconds / bench.settings.slow_blocks
     return max(1, round(min(data.forgetful(score), longest) / data.block_seconds))
 
@@ -394,7 +392,7 @@ def p_value(fall: float, by_chance: Array) -> float:
     return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))
 
 
-def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Array:
+def inclusion(candidates: Sequence[Linearisation], settings: Settings = DEFAULT) -> Array:
     """How often each candidate is the best one when the blocks are resampled, shape (len(candidates),)."""
     if not candidates:
         return np.zeros(0)
@@ -408,15 +406,15 @@ def inclusion(candidates: Sequence[Linear], settings: Settings = DEFAULT) -> Arr
     return np.bincount(np.argmin(squares, axis=0), minlength=len(candidates)) / draws
 
 
-def linear(at: WeakFit, bench: Bench) -> Linear:
+def linearised(at: WeakFit, bench: Bench) -> Linearisation:
     """Linearise a model with a candidate at its fit, and the model without it."""
     base = bench.base
-    own = len(at.model.free) - len(base.model.free)
+    added = len(at.model.free) - len(base.model.free)
     train, test = bench.on_train(at), bench.on_test(at)
-    return Linear(
+    return Linearisation(
         Blocks.of(train.J, train.r - base.at.r, base.at.r, bench.train.block),
         Blocks.of(test.J, test.r - bench.base_score.r, bench.base_score.r, bench.test.block),
-        own,
+        added,
         prior_of(at.model)[1],
     )
 
@@ -444,28 +442,30 @@ def with_effects(vehicle: Vehicle, findings: Sequence[FoundEffect]) -> Vehicle:
     for finding in findings:
         candidate = finding.trial.candidate
         if not vehicle.lacks(candidate.effect):
-            vehicle = candidate.on(vehicle).adopted(finding.trial.fit.values)
+            vehicle = candidate.for_model(vehicle).vehicle_with(finding.trial.fit.values)
     return vehicle
 
 
 def fitted(vehicle: Vehicle, findings: Sequence[FoundEffect], bench: Bench) -> EffectSet:
     """Fit a model with several effects (see `with_effects`), and score it."""
     grown = with_effects(vehicle, findings)
-    there = {e.id for e in grown.all_effects}
+    present = {e.id for e in grown.all_effects}
     free = free_parameters(grown)
     known = findings[-1].trial.fit.values if findings else bench.base.values
     own = set(free_parameters(vehicle))
     fit = bench.fit(grown, free, {n: v for n, v in known.items() if n in own})
-    return EffectSet(tuple(f for f in findings if f.id in there), fit, bench.judge(fit))
+    return EffectSet(tuple(f for f in findings if f.id in present), fit, bench.score(fit))
 
 
-def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
+def reduced_to_same_force(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> FoundEffect | None:
     """Another effect reduced to those of its terms that reproduce the force of the chosen one.
 
     None if it cannot reproduce that force with as few terms, does not explain half as much of the validation
     data, or has no other terms. Terms that explain something else are no evidence against it here.
     """
-    mine, theirs = _terms_of(chosen.trial.fit, chosen, bench), _terms_of(other.trial.full, other, bench)
+    mine, theirs = (
+        _linear_terms(fit, f, bench) for fit, f in ((chosen.trial.fit, chosen), (other.trial.full, other))
+    )
     if mine is None or theirs is None:
         return None
     force = mine.columns @ mine.values
@@ -485,38 +485,38 @@ def in_its_place(other: FoundEffect, chosen: FoundEffect, bench: Bench) -> Found
     return replace(other, trial=alone) if enough else None
 
 
-class _Terms(NamedTuple):
+class _LinearTerms(NamedTuple):
     names: list[str]
     values: Array
     columns: Array  # derivatives of the whitened residual, in these parameters
 
 
-def _terms_of(fit: WeakFit, found: FoundEffect, bench: Bench) -> _Terms | None:
+def _linear_terms(fit: WeakFit, found: FoundEffect, bench: Bench) -> _LinearTerms | None:
     """Change of the training residual by an effect; None if that is not linear."""
     own = {p.name: p for p in found.trial.candidate.parameters}
     places = [k for k, n in enumerate(fit.model.free) if n in own]
     names = [fit.model.free[k] for k in places]
     if not names or not all(own[n].linear for n in names) or fit.model.values.split:
         return None
-    return _Terms(names, np.array([fit.values[n] for n in names]), bench.on_train(fit).J[:, places])
+    return _LinearTerms(names, np.array([fit.values[n] for n in names]), bench.on_train(fit).J[:, places])
 
 
-def thinned(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
-    """The effect_set without effects made redundant by those found later."""
+def without_redundant_effects(vehicle: Vehicle, effect_set: EffectSet, bench: Bench) -> EffectSet:
+    """The effects without those made redundant by those found later."""
     for finding in effect_set.findings[:-1]:
         shorter = fitted(vehicle, [f for f in effect_set.findings if f is not finding], bench)
         if as_good(effect_set.score, shorter.score, bench):
-            return thinned(vehicle, shorter, bench)
+            return without_redundant_effects(vehicle, shorter, bench)
     return effect_set
 
 
 def under_own_noise(effect_set: EffectSet, bench: Bench) -> EffectSet:
     """The same effects, fitted under the noise model of their own residual."""
     fit = with_reestimated_noise(effect_set.fit)
-    return EffectSet(effect_set.findings, fit, bench.judge(fit))
+    return EffectSet(effect_set.findings, fit, bench.score(fit))
 
 
-def alternatives(
+def equivalent_sets(
     vehicle: Vehicle, effect_set: EffectSet, place: int, rivals: Sequence[FoundEffect], bench: Bench
 ) -> list[EffectSet]:
     """Effect sets with one effect exchanged that do as well or better, the best first.
@@ -525,24 +525,24 @@ def alternatives(
     disturbance. An effect that does worse under it may do better under its own noise model.
     """
     found, chosen = [], effect_set.findings[place]
-    least = cache(lambda: _times_own_noise(under_own_noise(effect_set, bench), bench))
+    least = cache(lambda: _total_noise_ratio(under_own_noise(effect_set, bench), bench))
     for rival in rivals:
         others = list(effect_set.findings)
         if rival.id in {f.id for f in others}:
             continue
         others[place] = rival
-        tried = fitted(vehicle, others, bench)
-        if len(tried.findings) < len(others):
+        alternative = fitted(vehicle, others, bench)
+        if len(alternative.findings) < len(others):
             continue
-        alike = as_good(effect_set.score, tried.score, bench) or too_quick_to_tell(chosen, rival, bench)
-        if not alike:
-            tried = under_own_noise(tried, bench)
-            if _times_own_noise(tried, bench) > least():
+        as_fast = too_fast_to_distinguish(chosen, rival, bench)
+        if not as_fast and not as_good(effect_set.score, alternative.score, bench):
+            alternative = under_own_noise(alternative, bench)
+            if _total_noise_ratio(alternative, bench) > least():
                 continue
-        found.append(tried)
+        found.append(alternative)
     return sorted(found, key=lambda c: c.score.error)
 
 
-def _times_own_noise(effect_set: EffectSet, bench: Bench) -> float:
+def _total_noise_ratio(effect_set: EffectSet, bench: Bench) -> float:
     """Validation residual of a model relative to sensor noise, over all equations."""
     return float(np.nansum(noise_ratio(effect_set.fit, bench.test)))

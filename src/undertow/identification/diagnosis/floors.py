@@ -27,8 +27,8 @@ from .result import ChannelNoise, DisturbanceLevel, Floors, Predictability
 class FloorSettings:
     """Numbers of the estimate of a disturbance from its autocorrelation."""
 
-    most_lags: int = 240  # test functions up to which it is looked at
-    share_of_log: float = 0.25  # of the longest segment, up to which pairs are many enough
+    most_lags: int = 240  # test functions up to which it is estimated
+    share_of_log: float = 0.25  # of the longest segment, beyond which there are too few pairs
     shortest: float = 0.2  # correlation times tried, from this many distances of test functions
     noise_uncertainty: float = 0.1  # relative uncertainty of the variance of sensor noise
     steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale
@@ -58,10 +58,10 @@ def noise_floors(fit: Fitted, data: WeakData) -> Floors:
                 stated=max(expected) if expected else None,
             )
         )
-    return Floors(sensors=_sensors(data), disturbances=disturbances)
+    return Floors(sensors=_channel_noise(data), disturbances=disturbances)
 
 
-def _sensors(data: WeakData) -> list[ChannelNoise]:
+def _channel_noise(data: WeakData) -> list[ChannelNoise]:
     measured = [n for n in data.names if all(r.has(n) for r in data.runs)]
     cut_offs = was_filtered(data.runs, measured)
     return [
@@ -83,9 +83,9 @@ def disturbance_of(row: ForceRow, step: float) -> tuple[float, float | None]:
         return 0.0, None
     found, certainty = _autocovariance(row)
     times = np.geomspace(SETTINGS.shortest, max(len(found), 2), SETTINGS.steps)
-    seen = np.array([_seen(len(found), time) for time in times])
-    square = np.maximum((seen * certainty) @ found / np.sum(certainty * seen**2, axis=1), 0.0)
-    misfit = np.sum(certainty * (found - square[:, None] * seen) ** 2, axis=1)
+    model = np.array([_test_function_autocovariance(len(found), time) for time in times])
+    square = np.maximum((model * certainty) @ found / np.sum(certainty * model**2, axis=1), 0.0)
+    misfit = np.sum(certainty * (found - square[:, None] * model) ** 2, axis=1)
     best = int(np.argmin(misfit))
     return float(np.sqrt(square[best])), float(times[best]) * step
 
@@ -106,7 +106,7 @@ def _autocovariance(row: ForceRow) -> tuple[Array, Array]:
     return total - noise, 1.0 / np.maximum(variance, 1e-300)
 
 
-def _seen(lags: int, time: float) -> Array:
+def _test_function_autocovariance(lags: int, time: float) -> Array:
     """Autocovariance of averages under test functions, of first-order noise of unit variance.
 
     `time` is its correlation time in distances of test functions.
@@ -118,7 +118,7 @@ def _seen(lags: int, time: float) -> Array:
     return np.asarray(np.exp(-apart / time) @ (weight / np.sum(weight)))
 
 
-def in_words(left: float, found: Sequence[Predictability], at_limit: Sequence[str] = ()) -> str:
+def predictable_in_words(left: float, found: Sequence[Predictability], at_limit: Sequence[str] = ()) -> str:
     """How much of a residual can be predicted, as a sentence; `left` is its share of the motion.
 
     `at_limit`: parameters that would have gone beyond what is physical; what they stood for is in the rest.

@@ -18,10 +18,7 @@ from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.typing import Array
 
-from .associations import (
-    Along,
-    Column,
-)
+from .associations import Column, Trajectory
 
 
 @dataclass(frozen=True)
@@ -30,14 +27,8 @@ class ForceSettings:
 
     noise_limit: float = 1.3  # mean square, in units of the noise, up to which there is no disturbance
     matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
-    widths: tuple[int, ...] = (
-        1,
-        2,
-        4,
-        8,
-        16,
-    )  # test functions averaged together, one after the other
-    stands_out: float = 1.5  # mean square over noise at which their force stands out
+    widths: tuple[int, ...] = (1, 2, 4, 8, 16)  # numbers of test functions to average over, tried in turn
+    detectable_ratio: float = 1.5  # mean square over that of noise from which the force is detectable
 
 
 SETTINGS = ForceSettings()
@@ -67,7 +58,7 @@ class ForceRow:
             w.with_disturbance(np.full(n, disturbance))
             for w, n in zip(self.sensor_noise, counts, strict=True)
         ]
-        return whitened(self.parts if columns is None else _beside(self.parts, columns), noise)
+        return whitened(self.parts if columns is None else _with_columns(self.parts, columns), noise)
 
     @property
     def ratio(self) -> float:
@@ -89,8 +80,8 @@ class ForceRow:
     def excess_rms(self) -> float:
         """Rms of the force above the noise, averaged over the shortest time in which it exceeds it."""
         for width in SETTINGS.widths:
-            total, noise = self._averaged(width)
-            if total > SETTINGS.stands_out * noise:
+            total, noise = self._mean_squares(width)
+            if total > SETTINGS.detectable_ratio * noise:
                 break
         return float(np.sqrt(max(total - noise, 0.0)))
 
@@ -101,12 +92,12 @@ class ForceRow:
         """
         whole, found = self.weight * width, []
         for part, noise in zip(self.parts, self.sensor_noise, strict=True):
-            groups = sliding(len(part.r), width)
+            groups = sliding_sums(len(part.r), width)
             variance = (groups @ csr_array(noise.covariance) @ groups.T).diagonal()
             found.append((groups @ part.r / whole, variance / whole**2))
         return found
 
-    def _averaged(self, width: int) -> tuple[float, float]:
+    def _mean_squares(self, width: int) -> tuple[float, float]:
         """Mean square of the force over `width` test functions, and that of its noise."""
         force, variance = (np.concatenate(c) for c in zip(*self.averaged(width), strict=True))
         return (float(np.mean(force**2)), float(np.mean(variance))) if len(force) else (0.0, 0.0)
@@ -128,7 +119,7 @@ class ForceRow:
         return level
 
 
-def sliding(count: int, width: int) -> csr_array:
+def sliding_sums(count: int, width: int) -> csr_array:
     """Sums over every `width` consecutive rows of `count`, shape (max(count - width + 1, 0), count)."""
     if count < width:  # a segment too short for any
         return csr_array((0, count))
@@ -136,13 +127,13 @@ def sliding(count: int, width: int) -> csr_array:
     return csr_array(diags_array([np.ones(shape[0])] * width, offsets=range(width), shape=shape))
 
 
-def _beside(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linearised]:
+def _with_columns(parts: Sequence[Linearised], columns: Sequence[Array]) -> list[Linearised]:
     pairs = zip(parts, columns, strict=True)
     return [Linearised(p.r, np.column_stack([p.J, c]), p.start, p.known) for p, c in pairs]
 
 
 class ForceRows:
-    """Force equations of a fitted model along logs; a force missing from one of them shows in no other."""
+    """Force equations of a fitted model along logs; a force missing in one does not affect the others."""
 
     def __init__(self, fit: Fitted, data: WeakData) -> None:
         self._fit, self.data = fit, data
@@ -179,7 +170,7 @@ class ForceRows:
     @cached_property
     def mass(self) -> list[Array]:
         """Mass matrix under every test function, shape (K, n, n)."""
-        return [self._mean(s, mass) for s, _, mass in self.along]
+        return [self._mean(s, mass) for s, _, mass in self.trajectories]
 
     def _mean(self, s: Segment, mass: Array) -> Array:
         weight = s.functions.value.sum(axis=1)[:, None]
@@ -189,34 +180,34 @@ class ForceRows:
     # --- further forces -----------------------------------------------------------------------
     def columns(self, columns: Sequence[Column]) -> list[Array]:
         """Contribution of columns with unit coefficients to a row, shape (K, columns) in every segment."""
-        return [tested(s, along, columns) for s, along, _ in self.along]
+        return [weak_integrals(s, trajectory, columns) for s, trajectory, _ in self.trajectories]
 
     def waves(self, frequency: float) -> list[Array]:
         """The same for a cosine and a sine of unit amplitude in time, shape (K, 2); frequency in Hz."""
-        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self.along]
+        phases = [(s, 2 * np.pi * frequency * s.t) for s, _, _ in self.trajectories]
         return [s.functions.value @ np.column_stack([np.cos(a), np.sin(a)]) for s, a in phases]
 
     @cached_property
-    def along(self) -> list[tuple[Segment, Along, Array]]:
+    def trajectories(self) -> list[tuple[Segment, Trajectory, Array]]:
         """Every segment with motion and commands at its samples, and its mass matrix (N, n, n)."""
         model, data = self._fit.model, self.data
         own = [model.values.own(self._fit.p, run) for run in data.runs]
         actuators, motion = ActuatorStates(model.functions, ()), self._motion
-        late, each = SensorDelay(model.functions), zip(data.runs, data.held, own, strict=True)
-        driven = [actuators.along(r.t, u, p).value for r, u, p in each]
+        delay, each = SensorDelay(model.functions), zip(data.runs, data.held, own, strict=True)
+        actuation_of_run = [actuators.along(r.t, u, p).value for r, u, p in each]
         found = []
-        for s in (late.in_time(s, own[s.run]) for s in data.segments):
+        for s in (delay.in_time(s, own[s.run]) for s in data.segments):
             pose, velocity, mass = mapped(motion, [s.measured], own[s.run], s.t)
-            actuation = driven[s.run][s.samples]
+            actuation = actuation_of_run[s.run][s.samples]
             reached = np.column_stack([actuation, s.u[:, actuation.shape[1] :]])
             found.append((s, self._values(s.t, pose[:, :, 0], velocity[:, :, 0], reached), mass))
         return found
 
-    def _values(self, t: Array, pose: Array, velocity: Array, commands: Array) -> Along:
+    def _values(self, t: Array, pose: Array, velocity: Array, commands: Array) -> Trajectory:
         vehicle = self._fit.model.functions.vehicle
         names = (*vehicle.pose_names, *vehicle.velocity_names, "t")
         values = dict(zip(names, np.column_stack([pose, velocity, t]).T, strict=True))
-        return Along(values, dict(zip(self.data.commands, commands.T, strict=True)))
+        return Trajectory(values, dict(zip(self.data.commands, commands.T, strict=True)))
 
     @property
     def _motion(self) -> ca.Function:
@@ -229,10 +220,11 @@ class ForceRows:
         return ca.Function("motion", [points.measured, f.p, f.t], true)
 
 
-def tested(s: Segment, along: Along, columns: Sequence[Column]) -> Array:
+def weak_integrals(s: Segment, trajectory: Trajectory, columns: Sequence[Column]) -> Array:
+    """Integrals of columns times the test functions of a segment, (K, columns)."""
     smooth, held = np.zeros((2, len(s.t), len(columns)))
     for k, column in enumerate(columns):
-        motion, commands = along.smooth(column), along.held(column)
+        motion, commands = trajectory.motion_product(column), trajectory.command_product(column)
         if commands is None:
             smooth[:, k] = motion
         else:

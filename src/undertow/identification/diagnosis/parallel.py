@@ -52,7 +52,7 @@ def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
         return
     done = 0
     try:
-        with _submitted(work, count, processes) as futures:
+        with _running(work, count, processes) as futures:
             for future in futures:
                 yield future.result()
                 done += 1
@@ -71,30 +71,30 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
         found = work()
         yield lambda: found
         return
-    with _submitted(lambda _: work(), 1, 1) as (future,):
-        yield lambda: _of(future, work)
+    with _running(lambda _: work(), 1, 1) as (future,):
+        yield lambda: _result_or_repeat(future, work)
 
 
-def _of(future: Future[T], work: Callable[[], T]) -> T:
+def _result_or_repeat(future: Future[T], work: Callable[[], T]) -> T:
     try:
         return future.result()
     except BrokenProcessPool:
         return work()
 
 
-def _one(number: int) -> Any:
-    return _work[-1](number)
+def _run_task(task: int) -> Any:
+    return _work[-1](task)
 
 
 @contextmanager
-def _submitted(work: Callable[[int], T], count: int, processes: int) -> Iterator[list[Future[T]]]:
-    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _begin)
+def _running(work: Callable[[int], T], count: int, processes: int) -> Iterator[list[Future[T]]]:
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("fork"), _initialise_worker)
     _work.append(work)
     try:
         with warnings.catch_warnings():
             # Other threads of this process only draw a progress bar; children do not touch it.
             warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-            futures = [pool.submit(_one, i) for i in range(count)]
+            futures = [pool.submit(_run_task, i) for i in range(count)]
     finally:
         _work.pop()
     try:
@@ -103,7 +103,7 @@ def _submitted(work: Callable[[int], T], count: int, processes: int) -> Iterator
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _begin() -> None:
+def _initialise_worker() -> None:
     """In a child process: no output, and interrupts are left to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.disable()

@@ -17,10 +17,10 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .associations import (
+    AssociatedTerm,
     Association,
     Clock,
     Column,
-    Found,
     Peak,
     Sample,
     Samples,
@@ -30,11 +30,11 @@ from .associations import (
     difference,
     highest_peak,
     label_of,
-    plain_of,
+    onset_terms,
+    step_terms,
     step_time,
-    steps_of,
-    sudden,
     terms_of,
+    without_bars,
     without_waves,
 )
 from .force_rows import ForceRow, ForceRows
@@ -46,16 +46,16 @@ class DescriptionSettings:
     """Thresholds for the description of a residual force."""
 
     most_terms: int = 4  # terms that are reported of one residual force
-    chance_of_line: float = 1e-4  # p-value above which a period is not reported; many frequencies are tried
-    chance_of_runs: float = 1e-4  # p-value above which a difference between runs is not reported
+    line_chance: float = 1e-4  # p-value above which a period is not reported; many frequencies are tried
+    runs_chance: float = 1e-4  # p-value above which a difference between runs is not reported
     chance: float = 0.002  # p-value, over all terms of an equation, above which a term is not reported
     smallest_share: float = 0.1  # share of the excess over noise below which nothing is reported
-    in_step: float = 0.7  # share of what a line removes with one phase for all runs, from which it has one
-    fine: int = 8  # frequencies tried for that phase, per width of the line
+    in_step: float = 0.7  # least share of what a line removes that one phase for all runs has to remove
+    phase_steps: int = 8  # frequencies tried for a common phase, per width of the line
     trend_seconds: float = 100.0  # s over which the change of a coefficient is stated
-    shown_alike: int = 2  # terms that are named beside one that they resemble
-    loud: float = 1.3  # mean square, in units of the noise, above which something is left
-    spreads: float = 5.0  # the same for short logs, in standard deviations of that of noise
+    most_alike_named: int = 2  # similar terms that are named with a term
+    noise_limit: float = 1.3  # mean square, in units of the noise, up to which a residual counts as noise
+    noise_sigmas: float = 5.0  # its excess over one for short logs, in standard deviations of noise
 
 
 SETTINGS = DescriptionSettings()
@@ -100,38 +100,38 @@ class Characterisation:
     """The search for terms that one residual correlates with."""
 
     def __init__(self, force: ResidualForce) -> None:
-        self._force, self._left = force, force.association
-        shown = self._left.samples.shown
-        self._excess = max(shown.square - len(shown.r), 1e-9)
+        self._force, self._association = force, force.association
+        sample = self._association.samples.under_sensor_noise
+        self._excess = max(sample.square - len(sample.r), 1e-9)
         self._description = ResidualDescription()
 
     def result(self) -> ResidualDescription:
         """Everything that is found."""
-        while len(self._description.depends_on) < SETTINGS.most_terms and self._next():
+        while len(self._description.depends_on) < SETTINGS.most_terms and self._remove_next():
             pass
-        self._description.between_runs = list(filter(None, map(self._between_runs, COMPARED)))
+        self._description.between_runs = list(filter(None, map(self._between_runs, COMPARED_BETWEEN_RUNS)))
         return self._description
 
-    def _next(self) -> bool:
-        term, peak = self._left.strongest(), self._peak()
+    def _remove_next(self) -> bool:
+        term, peak = self._association.strongest(), self._peak()
         if term is not None and term.chance > SETTINGS.chance:
             term = None
-        if peak is not None and (term is None or peak.gain > term.gain):
-            return self._take_line(peak)
-        return term is not None and self._take(term)
+        if peak is not None and (term is None or peak.excess > term.fall):
+            return self._remove_line(peak)
+        return term is not None and self._remove_term(term)
 
     def _accept(self, after: Association) -> float:
         """Continue with the remainder; return the share removed, or zero if it is too small to report."""
-        fall = self._left.samples.shown.square - after.samples.shown.square
+        fall = self._association.samples.under_sensor_noise.square - after.samples.under_sensor_noise.square
         share = float(np.clip(fall / self._excess, 0.0, 1.0))
         if share < SETTINGS.smallest_share:
             return 0.0
-        self._left = after
+        self._association = after
         return share
 
     # --- variables ----------------------------------------------------------------------------
-    def _take(self, found: Found) -> bool:
-        share = self._accept(self._left.without(found))
+    def _remove_term(self, found: AssociatedTerm) -> bool:
+        share = self._accept(self._association.without(found))
         if share:
             dependence = _dependence(found, share, self._force.unit)
             self._description.depends_on.append(dependence)
@@ -142,15 +142,15 @@ class Characterisation:
     def _peak(self) -> Peak | None:
         if self._description.spectrum is not None:
             return None
-        samples, clocks = self._left.samples, self._force.clocks
+        samples, clocks = self._association.samples, self._force.clocks
         # A test function is four steps wide: of what is faster than that it leaves nothing.
         fastest = 1.0 / (4.0 * clocks[0].step)
         peak = highest_peak(
             clocks[0].series(samples.fitted.r), clocks[1].series(samples.validation.r), fastest
         )
-        return peak if peak is not None and peak.chance < SETTINGS.chance_of_line else None
+        return peak if peak is not None and peak.chance < SETTINGS.line_chance else None
 
-    def _take_line(self, peak: Peak) -> bool:
+    def _remove_line(self, peak: Peak) -> bool:
         frequency, in_step = self._phase(peak.frequency)
         after, amplitude = self._without_line(frequency)
         share = self._accept(after)
@@ -161,33 +161,34 @@ class Characterisation:
         return share > 0.0
 
     def _without_line(self, frequency: float) -> tuple[Association, float]:
-        samples, clocks = self._left.samples, self._force.clocks
+        samples, clocks = self._association.samples, self._force.clocks
         logs = (clocks[0].log, clocks[1].log, clocks[1].log)
         kept, sizes = [], []
-        for s, waves, log in zip(_three(samples), self._force.waves(frequency), logs, strict=True):
+        for s, waves, log in zip(samples, self._force.waves(frequency), logs, strict=True):
             left, coefficients = without_waves(s.r, waves, log)
             kept.append(replace(s, r=left))
             sizes.append(np.linalg.norm(coefficients, axis=1))
         amplitude = float(np.mean(np.concatenate(sizes[:2])))
-        return replace(self._left, samples=Samples(*kept)), amplitude
+        return replace(self._association, samples=Samples(*kept)), amplitude
 
     def _phase(self, frequency: float) -> tuple[float, bool]:
         """Whether all runs have the same phase since their start; then the frequency that fits them best."""
         width = 1.0 / max(c.series(c.t).length for c in self._force.clocks)
-        near = frequency + width * np.arange(-SETTINGS.fine, SETTINGS.fine + 1) / SETTINGS.fine
-        fits = [self._common(f) for f in near]
+        steps = SETTINGS.phase_steps
+        near = frequency + width * np.arange(-steps, steps + 1) / steps
+        fits = [self._common_phase_falls(f) for f in near]
         best = int(np.argmax([fall for fall, _ in fits]))
-        validation = self._left.samples.validation
+        validation = self._association.samples.validation
         own = validation.square - squared(
             without_waves(validation.r, self._force.waves(frequency)[1], self._force.clocks[1].log)[0]
         )
         in_step = fits[best][1] > SETTINGS.in_step * own
         return (float(near[best]) if in_step else frequency), in_step
 
-    def _common(self, frequency: float) -> tuple[float, float]:
+    def _common_phase_falls(self, frequency: float) -> tuple[float, float]:
         """Fall of the sum of squares by one wave for all runs: on training and validation data."""
         waves = self._force.waves(frequency)
-        samples = self._left.samples
+        samples = self._association.samples
         coefficients = -np.linalg.lstsq(waves[0], samples.fitted.r, rcond=None)[0]
         falls = [
             s.square - squared(s.r + w @ coefficients)
@@ -197,38 +198,34 @@ class Characterisation:
 
     # --- the run ------------------------------------------------------------------------------
     def _between_runs(self, of: str) -> BetweenRuns | None:
-        places = {t.columns: self._left.places[t.label] for t in self._left.terms}
-        columns = COMPARED[of]
-        if columns not in places:
+        slices = {t.columns: self._association.slices[t.label] for t in self._association.terms}
+        columns = COMPARED_BETWEEN_RUNS[of]
+        if columns not in slices:
             return None
-        pair, clocks = (self._left.samples.fitted, self._left.samples.validation), self._force.clocks
+        pair, clocks = self._association.samples[:2], self._force.clocks
         both = Sample(
             np.concatenate([s.r for s in pair]),
-            np.vstack([s.own for s in pair]),
+            np.vstack([s.J for s in pair]),
             np.vstack([s.columns for s in pair]),
             np.concatenate([pair[0].block, pair[1].block + pair[0].blocks]),
         )
         names = tuple(dict.fromkeys((*clocks[0].names, *clocks[1].names)))
         logs = [np.array([names.index(c.names[k]) for k in c.log], dtype=np.intp) for c in clocks]
-        found = difference(both, places[columns], self._left.stiffness, np.concatenate(logs))
-        if found is None or found.chance > SETTINGS.chance_of_runs:
+        found = difference(both, slices[columns], self._association.stiffness, np.concatenate(logs))
+        if found is None or found.chance > SETTINGS.runs_chance:
             return None
         values = {names[i]: v.tolist() for i, v in zip(found.runs, found.values, strict=True)}
         return BetweenRuns(of=of, values=values, unit=self._force.unit, chance=found.chance)
 
 
-# Forces that are compared between runs, by what they are called: their columns.
-COMPARED: dict[str, tuple[Column, ...]] = {
+# Columns of the forces that are compared between runs, by name.
+COMPARED_BETWEEN_RUNS: dict[str, tuple[Column, ...]] = {
     "mean force": ((),),
     "force that turns with the heading": (("sin(psi)",), ("cos(psi)",)),
 }
 
 
-def _three(samples: Samples) -> tuple[Sample, Sample, Sample]:
-    return samples.fitted, samples.validation, samples.shown
-
-
-def _dependence(found: Found, share: float, unit: str) -> Dependence:
+def _dependence(found: AssociatedTerm, share: float, unit: str) -> Dependence:
     return Dependence(
         term=found.term.label,
         columns=[list(c) for c in found.term.columns],
@@ -267,31 +264,31 @@ _FASTER = {
 }
 
 
-def sentence(left: Remaining, loud: bool) -> str:
+def sentence(left: Remaining, above_noise: bool) -> str:
     """One sentence: ``surge: 0.8 N rms remains above the noise; 71 % of it correlates with |r| u``."""
-    if not loud:
+    if not above_noise:
         return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms remains, which is noise"
     size = f"{left.excess_rms:.2g} {left.unit} rms remains above the noise"
-    parts = list(_parts(left)) or [
+    parts = list(_clauses(left)) or [
         "it correlates with none of the logged variables, and no period stands out"
     ]
     return f"{left.degree_of_freedom}: {'; '.join([size, *parts])}"
 
 
-def _parts(left: Remaining) -> Iterator[str]:
+def _clauses(left: Remaining) -> Iterator[str]:
     for dependence in left.depends_on:
-        does = how(dependence, left.degree_of_freedom, left.unit)
-        yield f"{_percent(dependence.share)} of it correlates with {_named(dependence)} ({does})"
+        action = effect_on_motion(dependence, left.degree_of_freedom, left.unit)
+        yield f"{_percent(dependence.share)} of it correlates with {_term_in_words(dependence)} ({action})"
     if left.spectrum is not None:
-        yield _period(left.spectrum, left.unit)
-    yield from map(_by_run, left.between_runs)
+        yield _period_in_words(left.spectrum, left.unit)
+    yield from map(_run_difference_in_words, left.between_runs)
 
 
-def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
+def effect_on_motion(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
     """Effect of a term on the motion, as far as its sign tells."""
     coefficients, column = dependence.coefficients, dependence.columns[0]
     if len(coefficients) > 1:
-        return _how_together(dependence)
+        return _joint_effect(dependence)
     if not column:
         return f"{coefficients[0]:.2g} {unit}"
     if step_time(column) is not None:
@@ -299,18 +296,18 @@ def how(dependence: Dependence, degree_of_freedom: str, unit: str) -> str:
         if not rest:
             return f"{coefficients[0]:+.2g} {unit} from then on"
         begun = dependence.model_copy(update={"columns": [rest], "term": label_of(rest)})
-        return how(begun, degree_of_freedom, unit)
+        return effect_on_motion(begun, degree_of_freedom, unit)
     own = VELOCITY[DOFS.index(degree_of_freedom)]
     others = [f for f in column if f != own]
     even = all(f == "t" or f.startswith("|") for f in others)
     if column.count(own) == 1 and even:
-        faster = [_FASTER[plain_of(f)] for f in others if plain_of(f) in _FASTER]
-        does = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
-        return ", ".join([does, f"the more {' and '.join(faster)}"] if faster else [does])
+        faster = [_FASTER[without_bars(f)] for f in others if without_bars(f) in _FASTER]
+        action = f"slows {degree_of_freedom}" if coefficients[0] < 0 else f"drives {degree_of_freedom} on"
+        return ", ".join([action, f"the more {' and '.join(faster)}"] if faster else [action])
     return f"{'falls' if coefficients[0] < 0 else 'rises'} as {dependence.term} grows"
 
 
-def _how_together(dependence: Dependence) -> str:
+def _joint_effect(dependence: Dependence) -> str:
     commands = [command_of(column[0]) for column in dependence.columns]
     if None in commands:
         return f"amplitude {float(np.linalg.norm(dependence.coefficients)):.2g} {dependence.units[0]}"
@@ -318,18 +315,18 @@ def _how_together(dependence: Dependence) -> str:
     return f"{', '.join(f'{value:.2g} for {name}' for value, name in each)}; {dependence.units[0]}"
 
 
-def _named(dependence: Dependence) -> str:
-    others = "".join(f" or {a}" for a in dependence.alike[: SETTINGS.shown_alike])
+def _term_in_words(dependence: Dependence) -> str:
+    others = "".join(f" or {a}" for a in dependence.alike[: SETTINGS.most_alike_named])
     return f"{dependence.term}{others}"
 
 
-def _period(spectrum: Spectrum, unit: str) -> str:
+def _period_in_words(spectrum: Spectrum, unit: str) -> str:
     phase = "" if spectrum.in_step else ", with a different phase in every run"
     size = f"amplitude {spectrum.amplitude:.2g} {unit}, {_percent(spectrum.share)} of it{phase}"
     return f"period {spectrum.period:.3g} s stands out ({size})"
 
 
-def _by_run(difference: BetweenRuns) -> str:
+def _run_difference_in_words(difference: BetweenRuns) -> str:
     values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in difference.values.values()]
     size = f"{min(values):.2g} to {max(values):.2g} {difference.unit}"
     return f"the {difference.of} differs from run to run ({size})"
@@ -339,7 +336,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _statable(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
+def _without_inputs(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:
     """Terms without logged inputs, which only the effects that declare them can contain."""
     for term in terms:
         if not {command_of(f) for c in term.columns for f in c} & {*vehicle.inputs}:
@@ -353,8 +350,8 @@ class Characteriser:
         vehicle = fit.model.functions.vehicle
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
-        self._steps = steps_of(self._clocks[0].t)
-        self._terms = (*_statable(terms_of(vehicle, measured_pose(validation)), vehicle), *self._steps)
+        self._steps = step_terms(self._clocks[0].t)
+        self._terms = (*_without_inputs(terms_of(vehicle, measured_pose(validation)), vehicle), *self._steps)
         self._prior = prior_of(fit.model)[1]
 
     @cached_property
@@ -362,22 +359,24 @@ class Characteriser:
         """Force equations on the validation data."""
         return [self._validation.row(i) for i in range(len(self._units))]
 
-    def is_loud(self, dof: int) -> bool:
+    def above_noise(self, dof: int) -> bool:
         """Whether the residual of a degree of freedom exceeds the noise."""
         row = self.rows[dof]
         count = sum(len(p.r) for p in row.parts)
-        return row.ratio > max(SETTINGS.loud, 1.0 + SETTINGS.spreads * float(np.sqrt(2.0 / count)))
+        return row.ratio > max(
+            SETTINGS.noise_limit, 1.0 + SETTINGS.noise_sigmas * float(np.sqrt(2.0 / count))
+        )
 
-    def of(self, dof: int) -> ResidualDescription:
+    def describe(self, dof: int) -> ResidualDescription:
         """Describe the residual of a degree of freedom, by its place among those of the vehicle.
 
         For growth with time, a sudden onset is tried as well.
         """
-        found = self._described(dof)
-        growing = {t.label: t for d in found.depends_on for t in sudden(d.columns[0], self._steps)}
-        return self._described(dof, tuple(growing.values())) if growing else found
+        found = self._describe(dof)
+        growing = {t.label: t for d in found.depends_on for t in onset_terms(d.columns[0], self._steps)}
+        return self._describe(dof, tuple(growing.values())) if growing else found
 
-    def _described(self, dof: int, further: tuple[Term, ...] = ()) -> ResidualDescription:
+    def _describe(self, dof: int, further: tuple[Term, ...] = ()) -> ResidualDescription:
         fitted, validation = self._fitted_rows[dof], self.rows[dof]
         rows = (self._fitted, fitted, fitted.disturbance), (self._validation, validation, fitted.disturbance)
         force = ResidualForce(
@@ -433,22 +432,22 @@ class Characteriser:
 def remaining(fit: Fitted, known: WeakData, validation: WeakData) -> list[Remaining]:
     """Residual force of every degree of freedom on validation data."""
     characteriser = Characteriser(fit, known, validation)
-    return [_left(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
+    return [_remaining(characteriser, fit, i) for i in range(len(fit.model.functions.vehicle.dof_indices))]
 
 
-def unknown_to(
-    own: Collection[str], left: Iterable[Remaining], vehicle: Vehicle, *, periodic: bool = False
+def unrelated_to(
+    variables: Collection[str], left: Iterable[Remaining], vehicle: Vehicle, *, periodic: bool = False
 ) -> list[Remaining]:
     """Residual forces that depend on variables other than those of an effect.
 
     A drag that grows with time is such a force for thrust that fades with it, and so is a sudden onset.
 
-    own: velocities, pose, commands and time ("t"), as far as the effect depends on them.
+    variables: velocities, pose, commands and time ("t"), as far as the effect depends on them.
     periodic: whether the effect itself oscillates in time, so that a period does not count.
     """
     found = []
     for r in left:
-        others = [d for d in r.depends_on if not _variables(d, vehicle) <= {*own}]
+        others = [d for d in r.depends_on if not _variables(d, vehicle) <= {*variables}]
         line = None if periodic else r.spectrum
         if others or line:
             found.append(r.model_copy(update={"depends_on": others, "spectrum": line, "between_runs": []}))
@@ -461,8 +460,9 @@ def _variables(dependence: Dependence, vehicle: Vehicle) -> set[str]:
     return names & {word for columns in dependence.columns for c in columns for word in re.findall(r"\w+", c)}
 
 
-def _left(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
-    vehicle, row, loud = fit.model.functions.vehicle, characteriser.rows[i], characteriser.is_loud(i)
+def _remaining(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
+    vehicle, row = fit.model.functions.vehicle, characteriser.rows[i]
+    above_noise = characteriser.above_noise(i)
     error = float(np.sqrt(row.ratio))
     left = Remaining(
         degree_of_freedom=vehicle.degrees_of_freedom[i],
@@ -470,11 +470,11 @@ def _left(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
         residual_rms=row.rms,
         noise_rms=row.noise_rms,
         unit=FORCE_UNITS[vehicle.dof_indices[i]],
-        excess_rms=row.excess_rms if loud else 0.0,
-        note=f"{error:.1f} times what the noise explains" if loud else "explained by the noise",
+        excess_rms=row.excess_rms if above_noise else 0.0,
+        note=f"{error:.1f} times what the noise explains" if above_noise else "explained by the noise",
     )
-    if loud:
-        for name, found in vars(characteriser.of(i)).items():
+    if above_noise:
+        for name, found in vars(characteriser.describe(i)).items():
             setattr(left, name, found)
-    left.summary = sentence(left, loud)
+    left.summary = sentence(left, above_noise)
     return left

@@ -16,12 +16,7 @@ from undertow.identification.logs.run import Run
 
 SCHEMA = "undertow/diagnosis/1"
 Verdict = Literal[
-    "adequate",
-    "missing_effect",
-    "indistinguishable",
-    "helps_prediction",
-    "unexplained",
-    "not_identifiable",
+    "adequate", "missing_effect", "indistinguishable", "helps_prediction", "unexplained", "not_identifiable"
 ]
 Content = TypeVar("Content", bound=BaseModel)
 Role = Literal["train", "holdout", "blocks"]

@@ -19,18 +19,18 @@ from undertow.typing import Array, Progress
 from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate, possible_in
 from .evidence import (
-    Chance,
     Comparison,
     FoundEffect,
     IsNoise,
-    Linear,
+    Linearisation,
+    NullDistributions,
     as_good,
+    block_length_factor,
     compare_scores,
     explained,
     inclusion,
-    linear,
+    linearised,
     rank_p_value,
-    times_longer,
     with_longer_blocks,
 )
 from .parallel import mapped
@@ -66,96 +66,100 @@ class Round:
     def winner(self) -> FoundEffect | None:
         """The best candidate, if the evidence for it is strong enough."""
         best = self.findings[0] if self.findings else None
-        if best is None or not best.significant or best.by_slow_disturbance(self.bench.settings):
+        if best is None or not best.significant or best.may_be_slow_disturbance(self.bench.settings):
             return None
         return best
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what grows without bound is refused by its cost
+@np.errstate(over="ignore", invalid="ignore")  # unbounded states are rejected by their cost
 def try_all(bench: Bench, known: Catalogue, report: Progress) -> Round:
     """Try every candidate in addition to a model."""
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
-    listed = [without_redundant(c, bench) for c in possible_in(bench.train, vehicle, known)]
-    screened = _screened(listed, bench, report)
+    candidates = [without_redundant(c, bench) for c in possible_in(bench.train, vehicle, known)]
+    screened = _screened(candidates, bench, report)
     _log.info("error so far %.3f; %d effects tried", bench.base_score.error, len(screened))
-    chance = Chance([s.linear for s in screened], bench)
-    worth = _worth_a_fit(screened, bench)
-    trials = _tried(worth, bench, report)
-    falls = {c.id: _fall(bench.base_score, t.score) for c, t in trials}
-    able = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.sizes]
-    able.sort(key=lambda trial: trial.score.error)
-    bench, finalists = _final(bench, able[: settings.finalists], report)
-    behind = [replace(t, score=bench.judge(t.fit)) for t in able[settings.finalists :]]
-    tried = {t.id for t in able}
+    chance = NullDistributions([s.linear for s in screened], bench)
+    promising = _promising(screened, bench)
+    trials = _fit_candidates(promising, bench, report)
+    falls = {c.id: _relative_fall(bench.base_score, t.score) for c, t in trials}
+    trials_with_effect = [unpacked(t, c, bench) for c, t in trials if t.kept or not c.sizes]
+    trials_with_effect.sort(key=lambda trial: trial.score.error)
+    bench, finalists = _rescore_finalists(bench, trials_with_effect[: settings.finalists], report)
+    outranked = [replace(t, score=bench.score(t.fit)) for t in trials_with_effect[settings.finalists :]]
+    tried = {t.id for t in trials_with_effect}
     others = [rejected(s.candidate, bench) for s in screened if s.candidate.id not in tried]
-    fits = [*finalists, *behind]
-    left = bench.on_train(fits[0].fit).r if fits else bench.base.at.r
-    return _judged(bench, fits, others, _Evidence(falls, chance, left, len(fits) + len(others)))
+    fits = [*finalists, *outranked]
+    residual = bench.on_train(fits[0].fit).r if fits else bench.base.at.r
+    return _ranked(bench, fits, others, _Evidence(falls, chance, residual, len(fits) + len(others)))
 
 
-def _fall(before: Score, after: Score) -> float:
+def _relative_fall(before: Score, after: Score) -> float:
     return 1.0 - float(np.mean(after.r**2) / max(float(np.mean(before.r**2)), 1e-300))
 
 
-class _Look(NamedTuple):
+class _Screening(NamedTuple):
     candidate: Candidate
     cost: float
     starts: list[dict[str, float]]
-    linear: Linear
+    linear: Linearisation
 
 
-def _screened(listed: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Look]:
+def _screened(candidates: Sequence[Candidate], bench: Bench, report: Progress) -> list[_Screening]:
     """Predicted improvement of every candidate with parameters to add, the most promising first."""
-    bench.work_out()
-    # What has to be searched takes longest: started first, it leaves no core idle at the end.
-    listed = sorted(listed, key=lambda c: not any(p.starts for p in c.effect(()).parameters))
+    bench.precompute()
+    # Candidates with shape parameters take longest: started first, they leave no core idle at the end.
+    candidates = sorted(candidates, key=lambda c: not any(p.starts for p in c.effect(()).parameters))
     found = []
-    for i, look in enumerate(mapped(lambda i: _look(listed[i], bench), len(listed))):
-        report(0.5 * (i + 1) / len(listed), f"tried {listed[i].id}")
-        if look is not None:
-            found.append(_Look(listed[i], *look))
+    for i, entry in enumerate(mapped(lambda i: _screen_candidate(candidates[i], bench), len(candidates))):
+        report(0.5 * (i + 1) / len(candidates), f"tried {candidates[i].id}")
+        if entry is not None:
+            found.append(_Screening(candidates[i], *entry))
     return sorted(found, key=lambda entry: entry.cost)
 
 
-def _worth_a_fit(screened: Sequence[_Look], bench: Bench) -> list[_Look]:
+def _promising(screened: Sequence[_Screening], bench: Bench) -> list[_Screening]:
     """The candidates to be fitted, from a list ordered by predicted improvement."""
     settings = bench.settings
     falls = [bench.base.cost - s.cost for s in screened]
-    enough = settings.predicted_fall_share * max(falls, default=0.0)
-    count = max(settings.full_fits, min(settings.most_fits, sum(fall > enough for fall in falls)))
+    least = settings.predicted_fall_share * max(falls, default=0.0)
+    count = max(settings.full_fits, min(settings.most_fits, sum(fall > least for fall in falls)))
     return [
         s for s, fall in zip(screened[:count], falls, strict=False) if fall > settings.least_predicted_fall
     ]
 
 
-def _tried(worth: Sequence[_Look], bench: Bench, report: Progress) -> list[tuple[Candidate, PackedTrial]]:
+def _fit_candidates(
+    promising: Sequence[_Screening], bench: Bench, report: Progress
+) -> list[tuple[Candidate, PackedTrial]]:
     """Fits of the promising candidates."""
 
-    enough = bench.settings.first_step
+    tolerance = bench.settings.first_step
 
-    def one(i: int) -> PackedTrial:
-        candidate = worth[i].candidate
-        start = best_start(candidate, bench, worth[i].starts, enough)
-        return packed(try_candidate(candidate, bench, start, enough), bench)
+    def fit_candidate(i: int) -> PackedTrial:
+        candidate = promising[i].candidate
+        start = best_start(candidate, bench, promising[i].starts, tolerance)
+        return packed(try_candidate(candidate, bench, start, tolerance), bench)
 
     found = []
-    for i, trial in enumerate(mapped(one, len(worth))):
-        report(0.5 + 0.3 * (i + 1) / len(worth), f"fitted {worth[i].candidate.id}")
-        found.append((worth[i].candidate, trial))
+    for i, trial in enumerate(mapped(fit_candidate, len(promising))):
+        report(0.5 + 0.3 * (i + 1) / len(promising), f"fitted {promising[i].candidate.id}")
+        found.append((promising[i].candidate, trial))
     return found
 
 
-def _look(candidate: Candidate, bench: Bench) -> tuple[float, list[dict[str, float]], Linear] | None:
+def _screen_candidate(
+    candidate: Candidate, bench: Bench
+) -> tuple[float, list[dict[str, float]], Linearisation] | None:
     if candidate.adds_nothing:
         return None
-    looks = screen(candidate, bench)
-    if not looks:
+    screened = screen(candidate, bench)
+    if not screened:
         return None
-    return looks[0].cost, [look.values for look in looks], linear(looks[0].start, bench)
+    return screened[0].cost, [s.values for s in screened], linearised(screened[0].start, bench)
 
 
-def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Bench, list[Trial]]:
-    """Judge the leading candidates again, with the noise model of the best of them.
+def _rescore_finalists(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Bench, list[Trial]]:
+    """Score the leading candidates again, with the noise model of the best of them.
 
     Under the noise model of a poor fit a mediocre candidate may lead; under its own noise model less is
     hidden, and the new leader sets the next noise model.
@@ -164,56 +168,56 @@ def _final(bench: Bench, finalists: list[Trial], report: Progress) -> tuple[Benc
         return bench, finalists
     for _ in range(bench.settings.leader_rounds):
         leader = finalists[0]
-        # What a parameter that was left out would explain must not count as noise here: all are in.
-        bench = bench.sharpened(leader.full)
+        # With all its parameters: what a dropped one would explain must not count as noise here.
+        bench = bench.with_noise_model_of(leader.full)
         _log.info("under the noise model of %s: error so far %.3f", leader.id, bench.base_score.error)
-        again = _all_again(finalists, bench, leader, report)
-        finalists = sorted(again, key=lambda t: t.score.error)
+        retried = _retry_all(finalists, bench, leader, report)
+        finalists = sorted(retried, key=lambda t: t.score.error)
         if finalists[0].id == leader.id:
             break
     return bench, finalists
 
 
-def _all_again(finalists: list[Trial], sharp: Bench, best: Trial, report: Progress) -> list[Trial]:
-    work = mapped(lambda i: packed(_again(finalists[i], sharp, best), sharp), len(finalists))
-    again = []
+def _retry_all(finalists: list[Trial], refined: Bench, best: Trial, report: Progress) -> list[Trial]:
+    work = mapped(lambda i: packed(_retry(finalists[i], refined, best), refined), len(finalists))
+    retried = []
     for i, (trial, found) in enumerate(zip(finalists, work, strict=True)):
         report(0.8 + 0.2 * (i + 1) / len(finalists), f"judged {trial.id}")
-        again.append(unpacked(found, trial.candidate, sharp))
-    return again
+        retried.append(unpacked(found, trial.candidate, refined))
+    return retried
 
 
-def _again(trial: Trial, sharp: Bench, best: Trial) -> Trial:
+def _retry(trial: Trial, refined: Bench, best: Trial) -> Trial:
     """A trial under the finer noise model; candidates far behind with all their parameters are not fitted
     again.
 
     Parameters hidden by the coarser noise model were dropped from an effect, and may be decisive.
     """
-    if trial is not best and _out_of_reach(trial, sharp, best):
-        return replace(trial, score=sharp.judge(trial.fit))
-    return try_candidate(trial.candidate, sharp, trial.full.values)
+    if trial is not best and _remains_far_behind(trial, refined, best):
+        return replace(trial, score=refined.score(trial.fit))
+    return try_candidate(trial.candidate, refined, trial.full.values)
 
 
-def _out_of_reach(trial: Trial, sharp: Bench, best: Trial) -> bool:
+def _remains_far_behind(trial: Trial, refined: Bench, best: Trial) -> bool:
     """Whether an effect is far behind the best one, and a further step of the fit would not change that.
 
     A rough fit under a coarse noise model may end many standard errors of the finer one from its optimum: a
     step brings it there.
     """
-    left, least = (float(np.mean(sharp.judge(t.full).r ** 2)) for t in (trial, best))
+    mean_square, least = (float(np.mean(refined.score(t.full).r ** 2)) for t in (trial, best))
 
     def after_a_step() -> float:
-        return Screened(trial.candidate, sharp, trial.full.values).cost / len(sharp.base.at.r)
+        return Screened(trial.candidate, refined, trial.full.values).cost / len(refined.base.at.r)
 
-    return far_behind(left, least, after_a_step, sharp.settings)
+    return far_behind(mean_square, least, after_a_step, refined.settings)
 
 
 def far_behind(
-    left: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
+    mean_square: float, least: float, after_a_step: Callable[[], float], settings: Settings = DEFAULT
 ) -> bool:
     """Whether a mean square is far above the least one, and remains so after a further step of the fit."""
     limit = settings.refit_limit
-    return left > limit * least and after_a_step() > limit * max(least, 1.0)
+    return mean_square > limit * least and after_a_step() > limit * max(least, 1.0)
 
 
 class _Evidence(NamedTuple):
@@ -222,15 +226,15 @@ class _Evidence(NamedTuple):
     """
 
     falls: dict[str, float]
-    chance: Chance
-    left: Array
-    among: int
+    chance: NullDistributions
+    residual: Array
+    candidates: int
 
 
-def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
-    linears = [linear(t.fit, bench) for t in tried]
-    often = inclusion(linears, bench.settings).tolist()
-    findings = [_finding(*found, bench, evidence) for found in zip(tried, linears, often, strict=True)]
+def _ranked(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Evidence) -> Round:
+    linears = [linearised(t.fit, bench) for t in tried]
+    inclusions = inclusion(linears, bench.settings).tolist()
+    findings = [_finding(*found, bench, evidence) for found in zip(tried, linears, inclusions, strict=True)]
     findings += [_finding(t, None, float("nan"), bench, evidence) for t in others]
     findings.sort(key=lambda f: (not f.significant, f.trial.score.error))
     for f in findings[:5]:
@@ -242,21 +246,21 @@ def _judged(bench: Bench, tried: list[Trial], others: list[Trial], evidence: _Ev
 
 
 def _finding(
-    trial: Trial, at: Linear | None, inclusion: float, bench: Bench, evidence: _Evidence
+    trial: Trial, at: Linearisation | None, inclusion: float, bench: Bench, evidence: _Evidence
 ) -> FoundEffect:
     """A candidate with the evidence for it; without a linearisation one that was not worth a fit."""
     settings = bench.settings
     compared = compare_scores(bench.base_score, trial.score, bench.test)
     chance, slow = (1.0, 1.0) if at is None else _chances(trial, at, compared, bench, evidence)
-    strong = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
+    significant = chance < settings.false_alarm_rate and compared.mean > settings.least_fall
     scores = comparable_mean_squares(bench.base_score, trial.score, bench.test)
     share = explained(*scores, bench.noise_level, settings)
     better = trial.score.error < bench.base_score.error
-    return FoundEffect(trial, compared, share, chance, strong and better, slow, inclusion)
+    return FoundEffect(trial, compared, share, chance, significant and better, slow, inclusion)
 
 
 def _chances(
-    trial: Trial, at: Linear, compared: Comparison, bench: Bench, evidence: _Evidence
+    trial: Trial, at: Linearisation, compared: Comparison, bench: Bench, evidence: _Evidence
 ) -> tuple[float, float]:
     """Probability that the best of all candidates does as well as this one if nothing is missing; and the
     same under a slow disturbance.
@@ -272,12 +276,12 @@ def _chances(
 
     def chance(by_rank: float, times: int) -> float:
         by_draws = evidence.chance.p_value(evidence.falls[trial.id], times)
-        return min(1.0, 2.0 * min(by_draws, evidence.among * by_rank))
+        return min(1.0, 2.0 * min(by_draws, evidence.candidates * by_rank))
 
-    usual, longer = chance(compared.p_value, 1), times_longer(trial, evidence.left, bench)
+    usual, longer = chance(compared.p_value, 1), block_length_factor(trial, evidence.residual, bench)
     if longer == 1:
         return usual, usual
-    return usual, chance(rank_p_value(with_longer_blocks(at, longer, bench).left_out()), longer)
+    return usual, chance(rank_p_value(with_longer_blocks(at, longer, bench).left_out_falls()), longer)
 
 
 @dataclass(frozen=True)
@@ -317,31 +321,31 @@ def values_to_free(current: Round, residual_is_noise: IsNoise) -> dict[str, tupl
 
 def other_values(bench: Bench) -> OtherValues | None:
     """The model with those fixed values free that the data contradict; None if there are none."""
-    alike = _wanted(bench)
+    alike = _values_to_change(bench)
     if not alike:
         return None
     model = bench.base.model.with_free((*bench.base.model.free, *alike))
     fit = bench.fit(model, start=bench.base.values)
-    return OtherValues(alike, fit, bench.judge(fit))
+    return OtherValues(alike, fit, bench.score(fit))
 
 
-def _unlikely(fit: WeakFit, score: Score) -> float:
+def _deviance(fit: WeakFit, score: Score) -> float:
     """Twice the negative log-likelihood of the residual, if that is noise, and of the values.
 
     Stated priors have their full weight here.
     """
-    strain = PRIOR_WIDTH**2 * prior_cost(prior_of(fit.model), fit.p[list(fit.model.places)])
-    return float(np.sum(score.r**2)) + strain
+    prior_term = PRIOR_WIDTH**2 * prior_cost(prior_of(fit.model), fit.p[list(fit.model.places)])
+    return float(np.sum(score.r**2)) + prior_term
 
 
 def _preferred(
     found: OtherValues, fit: WeakFit, score: Score, bench: Bench, residual_is_noise: IsNoise
 ) -> bool:
     """Whether other values are the better explanation than an effect."""
-    sound, effect_sound = residual_is_noise(found.fit, bench.test), residual_is_noise(fit, bench.test)
-    if sound and effect_sound:
-        return _unlikely(found.fit, found.score) + bench.settings.more_than_chance < _unlikely(fit, score)
-    return sound or (not effect_sound and not as_good(found.score, score, bench))
+    adequate, effect_adequate = (residual_is_noise(found.fit, bench.test), residual_is_noise(fit, bench.test))
+    if adequate and effect_adequate:
+        return _deviance(found.fit, found.score) + bench.settings.more_than_chance < _deviance(fit, score)
+    return adequate or (not effect_adequate and not as_good(found.score, score, bench))
 
 
 # --- which values ---------------------------------------------------------------------------------
@@ -361,7 +365,7 @@ def _held(bench: Bench) -> tuple[str, ...]:
     return tuple(n for n in held if np.isfinite(bench.base.p[names.index(n)]))
 
 
-def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
+def _values_to_change(bench: Bench) -> dict[str, tuple[str, ...]]:
     """Fixed values that reduce the error in the linearised problem, one after the other, each with
     alternatives of the same effect.
     """
@@ -369,7 +373,7 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     if not fixed:
         return {}
     names, count = _held(bench), len(bench.base.model.free)
-    gram, slope = _normal(bench, names)
+    gram, slope = _normal_equations(bench, names)
     open_to_change = [count + names.index(n) for n in fixed]
     chosen: list[int] = []
     own = list(range(count))
@@ -388,7 +392,7 @@ def _wanted(bench: Bench) -> dict[str, tuple[str, ...]]:
     return {names[k - count]: tuple(names[i - count] for i in others if does_as_well(k, i)) for k in chosen}
 
 
-def _normal(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
+def _normal_equations(bench: Bench, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Information and gradient of the model's own parameters and of these values, in their order."""
     base = bench.base
     by_run = {n: base.values[n] for n in base.model.values.split}

@@ -30,37 +30,37 @@ from .evidence import (
     EffectSet,
     FoundEffect,
     IsNoise,
-    alternatives,
     as_good,
     compare_scores,
+    equivalent_sets,
     explains_all,
     fitted,
     hidden_by_disturbance,
-    thinned,
-    too_quick_to_tell,
+    too_fast_to_distinguish,
     under_own_noise,
     with_effects,
+    without_redundant_effects,
 )
 from .rounds import Round, try_all, values_to_free
 from .settings import DEFAULT, Settings
-from .trial import parameters_that_matter
+from .trial import significant_parameters
 
 
-def pair_beside(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
+def better_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     """Two effects other than the best single one that together explain clearly more than it, if only noise
     remains.
 
     A pair that includes the best single effect is found in the next round.
     """
-    good = [
+    adequate = [
         c
-        for c in _tried(current, current.bench.settings.pairs_beside)
+        for c in _fitted_pairs(current, current.bench.settings.pairs_beside)
         if residual_is_noise(c.fit, current.bench.test)
     ]
-    return min(good, key=lambda c: c.score.error, default=None)
+    return min(adequate, key=lambda c: c.score.error, default=None)
 
 
-def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
+def joint_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     """Two effects of which neither is significant alone and that together leave only noise.
 
     All pairs of effects were tried, so the best of them looks good by chance more easily than the best single
@@ -70,21 +70,23 @@ def lone_pair(current: Round, residual_is_noise: IsNoise) -> EffectSet | None:
     if residual_is_noise(bench.base, bench.test):
         return None
     count = len(current.findings) * (len(current.findings) - 1) // 2
-    return only_one_in_evidence(_tried(current, bench.settings.pairs_alone), bench, count, residual_is_noise)
+    return unique_significant_pair(
+        _fitted_pairs(current, bench.settings.pairs_alone), bench, count, residual_is_noise
+    )
 
 
-def only_one_in_evidence(
+def unique_significant_pair(
     tried: Sequence[EffectSet], bench: Bench, count: int, residual_is_noise: IsNoise
 ) -> EffectSet | None:
     """The pair, of `count` possible ones, that leaves only noise, if no other does as well."""
-    good = [c for c in tried if _in_evidence(c, bench, count) and residual_is_noise(c.fit, bench.test)]
-    best = min(good, key=lambda c: c.score.error, default=None)
+    adequate = [c for c in tried if _is_significant(c, bench, count) and residual_is_noise(c.fit, bench.test)]
+    best = min(adequate, key=lambda c: c.score.error, default=None)
     if best is None or any(as_good(best.score, c.score, bench) for c in tried if c is not best):
         return None
     return best
 
 
-def _tried(current: Round, most: int) -> list[EffectSet]:
+def _fitted_pairs(current: Round, most: int) -> list[EffectSet]:
     """The most promising pairs of effects, fitted, excluding those with the best single one, if any."""
     bench = current.bench
     vehicle = bench.base.model.functions.vehicle
@@ -92,7 +94,7 @@ def _tried(current: Round, most: int) -> list[EffectSet]:
     return [fitted(vehicle, pair, bench) for pair in pairs if current.winner not in pair]
 
 
-def _in_evidence(pair: EffectSet, bench: Bench, count: int) -> bool:
+def _is_significant(pair: EffectSet, bench: Bench, count: int) -> bool:
     gap = compare_scores(bench.base_score, pair.score, bench.test)
     return gap.beyond_chance(bench.settings, among=count)
 
@@ -105,13 +107,13 @@ def promising_pairs(
     Their changes at their fits are added up, and all parameters are refitted linearly.
     """
     leading = [f for f in findings if f.trial.kept][: bench.settings.pair_candidates]
-    columns = [_columns(f, bench) for f in leading]
+    columns = [_change_and_columns(f, bench) for f in leading]
     pairs = [(i, j) for i, j in combinations(range(len(leading)), 2)]
-    costs = [_together(bench, columns[i], columns[j]) for i, j in pairs]
+    costs = [_joint_cost(bench, columns[i], columns[j]) for i, j in pairs]
     return [(leading[pairs[k][0]], leading[pairs[k][1]]) for k in np.argsort(costs)[:most]]
 
 
-def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
+def _change_and_columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
     """Change of the residual by a candidate at its fit, and its own columns there."""
     fit = finding.trial.full
     at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
@@ -120,7 +122,7 @@ def _columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Array]:
     return at.r - bench.base.at.r, at.J[:, chosen]
 
 
-def _together(bench: Bench, first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
+def _joint_cost(bench: Bench, first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
     r = bench.base.at.r + first[0] + second[0]
     columns = np.hstack([bench.base.at.J, first[1], second[1]])
     slope = columns.T @ r
@@ -142,7 +144,7 @@ class Search:
     effect_set: the effects found, none or several, fitted together.
     rivals: for each of the effects, those that do as well in its place.
     given: the model before any value was freed, fitted under its own noise model, where `fit` begins.
-    alone: the same of `vehicle`: without effects.
+    base: the same for `vehicle`.
     freed: those values, each with alternatives that would have the same effect.
     """
 
@@ -152,7 +154,7 @@ class Search:
     effect_set: EffectSet
     rivals: list[list[EffectSet]]
     given: WeakFit
-    alone: WeakFit
+    base: WeakFit
     freed: Freed = field(default_factory=dict)
 
     @property
@@ -178,17 +180,17 @@ def search(
 ) -> Search:
     """Search for missing effects until the noise floor is reached or nothing improves the model."""
     report(0.0, "fitting the model as given")
-    opened = open_bench(vehicle, train, test, settings)
-    vehicle = opened.base.model.functions.vehicle
-    steps = _stepwise(vehicle, opened, known, report, residual_is_noise, values_to_free)
+    initial = open_bench(vehicle, train, test, settings)
+    vehicle = initial.base.model.functions.vehicle
+    steps = _stepwise(vehicle, initial, known, report, residual_is_noise, values_to_free)
     if names := steps.freed:
         _log.info("fixed values that explain more than any effect: %s", ", ".join(names))
         found = search(freed(vehicle, list(names)), train, test, known, report, residual_is_noise, settings)
-        if not _do_alone(vehicle, found.winners, opened, residual_is_noise):
-            return replace(found, given=opened.base, freed={**names, **found.freed})
-        steps = _stepwise(vehicle, opened, known, report, residual_is_noise, _none_to_free)
+        if not _adequate_without_freed(vehicle, found.winners, initial, residual_is_noise):
+            return replace(found, given=initial.base, freed={**names, **found.freed})
+        steps = _stepwise(vehicle, initial, known, report, residual_is_noise, _none_to_free)
     report(0.9, "testing all effects together")
-    return _refitted_together(vehicle, opened, steps.rounds, steps.effect_set)
+    return _refitted_together(vehicle, initial, steps.rounds, steps.effect_set)
 
 
 @dataclass(frozen=True)
@@ -210,7 +212,7 @@ def _none_to_free(current: Round, residual_is_noise: IsNoise) -> Freed:
     return {}
 
 
-def _do_alone(
+def _adequate_without_freed(
     vehicle: Vehicle, effects: Sequence[FoundEffect], bench: Bench, residual_is_noise: IsNoise
 ) -> bool:
     """Whether effects that were found together with freed values leave only noise without these."""
@@ -232,16 +234,24 @@ def _stepwise(
         return steps
     if not hidden_by_disturbance(last):
         return steps
-    bare = last.without_disturbance()
+    undisturbed = last.without_disturbance()
     again = _steps(
-        vehicle, bare, known, partial(_late, report), residual_is_noise, steps.effect_set, _none_to_free
+        vehicle,
+        undisturbed,
+        known,
+        partial(_report_late, report),
+        residual_is_noise,
+        steps.effect_set,
+        _none_to_free,
     )
-    if len(again.effect_set) > len(steps.effect_set) and explains_all(bare, again.fit, residual_is_noise):
+    if len(again.effect_set) > len(steps.effect_set) and explains_all(
+        undisturbed, again.fit, residual_is_noise
+    ):
         return replace(again, rounds=[*steps.rounds[:-1], *again.rounds])
     return steps
 
 
-def _late(report: Progress, done: float, words: str) -> None:
+def _report_late(report: Progress, done: float, words: str) -> None:
     report(0.9, words)
 
 
@@ -258,11 +268,11 @@ def _steps(
     rounds: list[Round] = []
     effect_set, fit = list(found), bench.base
     while len(effect_set) < bench.settings.max_effects:
-        current = _sound_first(
+        current = _led_by_adequate(
             try_all(
                 bench,
                 known,
-                _share_of(report, len(rounds) / bench.settings.max_effects, 1.0 / bench.settings.max_effects),
+                _scaled(report, len(rounds) / bench.settings.max_effects, 1.0 / bench.settings.max_effects),
             ),
             residual_is_noise,
         )
@@ -270,7 +280,7 @@ def _steps(
         if names := to_free(current, residual_is_noise):
             return _Steps(rounds, effect_set, fit, names)
         if current.winner is None:
-            pair = None if effect_set else lone_pair(current, residual_is_noise)
+            pair = None if effect_set else joint_pair(current, residual_is_noise)
             if pair is not None:
                 return _Steps(rounds, list(pair.findings), pair.fit, {}, paired=True)
             break
@@ -279,19 +289,19 @@ def _steps(
         _log.info("adding %s: normalised error %.3f", current.winner.id, current.winner.trial.score.error)
         if residual_is_noise(fit, bench.test):
             break
-        pair = pair_beside(current, residual_is_noise) if len(effect_set) == 1 else None
+        pair = better_pair(current, residual_is_noise) if len(effect_set) == 1 else None
         if pair is not None:
             effect_set, fit = list(pair.findings), pair.fit
             _log.info("a pair: %s, normalised error %.3f", [f.id for f in effect_set], pair.score.error)
             if residual_is_noise(fit, bench.test):
                 break
-        if _out_of_reach(bench.base, fit, bench, bench.settings.max_effects - len(effect_set)):
+        if _noise_out_of_reach(bench.base, fit, bench, bench.settings.max_effects - len(effect_set)):
             break
-        bench = _on_top(current.bench, vehicle, effect_set, fit)
+        bench = _next_bench(current.bench, vehicle, effect_set, fit)
     return _Steps(rounds, effect_set, fit, {})
 
 
-def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> bool:
+def _noise_out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> bool:
     """Whether the remaining number of effects, each no better than the last one, could not reach the noise.
 
     Effects come in the order of their improvement. If no set of them can explain everything, simulation
@@ -303,7 +313,7 @@ def _out_of_reach(before: WeakFit, after: WeakFit, bench: Bench, left: int) -> b
     return bool(remaining - left * max(total - remaining, 0.0) > limit)
 
 
-def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
+def _led_by_adequate(current: Round, residual_is_noise: IsNoise) -> Round:
     """The round led by an effect that leaves only noise, if the leading one leaves more.
 
     Under a noise model that includes disturbances, some effects look alike that simulation tells apart.
@@ -312,53 +322,53 @@ def _sound_first(current: Round, residual_is_noise: IsNoise) -> Round:
     test = current.bench.test
     if not leading or residual_is_noise(leading[0].trial.fit, test):
         return current
-    sound = next((f for f in leading[1:] if residual_is_noise(f.trial.fit, test)), None)
-    if sound is None:
+    adequate = next((f for f in leading[1:] if residual_is_noise(f.trial.fit, test)), None)
+    if adequate is None:
         return current
-    return replace(current, findings=[sound, *(f for f in current.findings if f is not sound)])
+    return replace(current, findings=[adequate, *(f for f in current.findings if f is not adequate)])
 
 
-def _on_top(bench: Bench, vehicle: Vehicle, effect_set: list[FoundEffect], fit: WeakFit) -> Bench:
+def _next_bench(bench: Bench, vehicle: Vehicle, effect_set: list[FoundEffect], fit: WeakFit) -> Bench:
     """The bench for the next round: the effect found becomes part of the model."""
     grown = with_effects(vehicle, effect_set)
     base = bench.fit(grown, free_parameters(grown), fit.values)
     return replace(bench, base=base)
 
 
-def _share_of(report: Progress, begin: float, share: float) -> Progress:
+def _scaled(report: Progress, begin: float, share: float) -> Progress:
     """Progress within one round as progress of the whole."""
     return lambda done, words: report(0.9 * (begin + share * done), words)
 
 
 def _refitted_together(
-    vehicle: Vehicle, opened: Bench, rounds: list[Round], found: list[FoundEffect]
+    vehicle: Vehicle, initial: Bench, rounds: list[Round], found: list[FoundEffect]
 ) -> Search:
     """All effects fitted together under the last noise model, without those no longer needed."""
     if not found:
         return Search(
-            vehicle, rounds, opened, fitted(vehicle, [], opened), [], given=opened.base, alone=opened.base
+            vehicle, rounds, initial, fitted(vehicle, [], initial), [], given=initial.base, base=initial.base
         )
-    bench = opened.sharpened(found[-1].trial.full) if len(rounds) > 1 else rounds[0].bench
-    effect_set = thinned(vehicle, fitted(vehicle, found, bench), bench)
+    bench = initial.with_noise_model_of(found[-1].trial.full) if len(rounds) > 1 else rounds[0].bench
+    effect_set = without_redundant_effects(vehicle, fitted(vehicle, found, bench), bench)
     rivals: list[list[EffectSet]] = []
     for place in range(len(effect_set.findings)):
+        possible = possible_rivals(effect_set, place, rounds, bench)
         equals = sorted(
-            [effect_set, *_rivals(vehicle, effect_set, place, rounds, bench)], key=lambda c: c.score.error
+            [effect_set, *equivalent_sets(vehicle, effect_set, place, possible, bench)],
+            key=lambda c: c.score.error,
         )
-        # What would take more inertia from slow motion than the water has is no rival of what does not.
+        # A memory that removes more inertia than the added mass is no rival of an effect that does not.
         equals = [c for c in equals if not is_spring(c.findings[place])] or equals
-        # With enough parameters an effect can be bent into another: it is no rival of the plain one.
-        plainest = min(len(c.findings[place].parameters) for c in equals)
+        # An effect with enough parameters can imitate another: it is no rival of the simple one.
+        fewest = min(len(c.findings[place].parameters) for c in equals)
         effect_set, *others = [
-            c
-            for c in equals
-            if len(c.findings[place].parameters) <= plainest + bench.settings.more_parameters
+            c for c in equals if len(c.findings[place].parameters) <= fewest + bench.settings.more_parameters
         ]
-        rivals.append(others or _plain_ones(vehicle, effect_set, rounds, bench))
-    return Search(vehicle, rounds, bench, effect_set, rivals, given=opened.base, alone=opened.base)
+        rivals.append(others or _simpler_equivalents(vehicle, effect_set, rounds, bench))
+    return Search(vehicle, rounds, bench, effect_set, rivals, given=initial.base, base=initial.base)
 
 
-def _plain_ones(
+def _simpler_equivalents(
     vehicle: Vehicle, effect_set: EffectSet, rounds: list[Round], bench: Bench
 ) -> list[EffectSet]:
     """Much simpler effects than the single one found that do as well once each is fitted under its own noise.
@@ -368,7 +378,7 @@ def _plain_ones(
     """
     if len(effect_set.findings) != 1 or len(rounds) != 1:
         return []
-    near = much_plainer(effect_set.findings[0], effect_set.score.error, rounds[0].findings, bench.settings)
+    near = much_simpler(effect_set.findings[0], effect_set.score.error, rounds[0].findings, bench.settings)
     plain = [fitted(vehicle, [f], bench) for f in near]
     if not plain:
         return []
@@ -376,20 +386,13 @@ def _plain_ones(
     return [c for c in plain if as_good(best, under_own_noise(c, bench).score, bench)]
 
 
-def much_plainer(
+def much_simpler(
     leader: FoundEffect, error: float, findings: Sequence[FoundEffect], settings: Settings = DEFAULT
 ) -> list[FoundEffect]:
     """Significant effects with far fewer parameters than the leading one and nearly its error."""
     others = [f for f in findings if f.significant and f is not leader]
     near = [f for f in others if f.trial.score.error < settings.plain_error * error][: settings.rivals]
     return [f for f in near if len(f.parameters) < len(leader.parameters) - settings.more_parameters]
-
-
-def _rivals(
-    vehicle: Vehicle, effect_set: EffectSet, place: int, rounds: list[Round], bench: Bench
-) -> list[EffectSet]:
-    """Effects that do as well as one of those found, with the others unchanged."""
-    return alternatives(vehicle, effect_set, place, possible_rivals(effect_set, place, rounds, bench), bench)
 
 
 def possible_rivals(
@@ -408,7 +411,7 @@ def possible_rivals(
                 others = [
                     f
                     for f in others
-                    if as_good(best, f.trial.score, bench) or too_quick_to_tell(effect, f, bench)
+                    if as_good(best, f.trial.score, bench) or too_fast_to_distinguish(effect, f, bench)
                 ]
             return others[: bench.settings.rivals]
     return []
@@ -428,7 +431,7 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
     if not left_out:
         return fit
     whole = _refitted(fit, (*fit.model.free, *sorted(left_out)))
-    kept = parameters_that_matter(whole, tuple(sorted(removable)), settings.t_in_last_fit)
+    kept = significant_parameters(whole, tuple(sorted(removable)), settings.t_in_last_fit)
     free = (*fit.model.free, *(n for n in kept if n in left_out))
     return fit if free == fit.model.free else with_reestimated_noise(_refitted(whole, free))
 

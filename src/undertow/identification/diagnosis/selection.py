@@ -20,11 +20,11 @@ from undertow.typing import Array, Progress
 
 from .bench import Bench
 from .evidence import FoundEffect, fitted, with_effects
-from .grading import Graded, Grading, Predicting, beyond_chance
+from .grading import Graded, Grading, Predictions, beyond_chance
+from .prediction_gain import PredictionGain, gain_of_effects
 from .rounds import Round, try_all
 from .search import Search
 from .validation import SimulationValidator
-from .worth import Worth, gained
 
 _log = logging.getLogger("undertow.diagnosis")
 
@@ -35,13 +35,13 @@ class Selection:
 
     rounds: the rounds.
     reasons: why significant candidates of the first round were not chosen in it.
-    worth: improvement of predictions by those of its candidates that were simulated.
+    gains: improvement of predictions by those of its candidates that were simulated.
     """
 
     graded: list[Graded]
     rounds: list[Round]
     reasons: dict[str, str]
-    worth: dict[str, Worth]
+    gains: dict[str, PredictionGain]
 
     def without(self, effect: Graded) -> Selection:
         """All effects but one."""
@@ -62,7 +62,7 @@ class Selection:
         before = takewhile(lambda g: g is not effect, self.graded)
         return next((g.chosen.id for g in before if g.doubt), "")
 
-    def doubting(self, effect: Graded, doubt: str) -> Selection:
+    def with_doubt(self, effect: Graded, doubt: str) -> Selection:
         """The same, with one more effect in doubt."""
         doubted = replace(effect, doubt=doubt)
         return replace(self, graded=[doubted if g is effect else g for g in self.graded])
@@ -84,10 +84,10 @@ def select(
 
 
 # Share of the time of a round for trying candidates by the weak form; most goes into their simulation.
-_TRYING = 0.3
+_WEAK_FORM_SHARE = 0.3
 
 
-def rivals_beside_later(graded: Sequence[Graded]) -> list[Graded]:
+def without_rivals_found_later(graded: Sequence[Graded]) -> list[Graded]:
     """The effects, each without rivals that stand for one found after it and needed in addition to it."""
     later: set[str] = set()
     found = []
@@ -104,10 +104,10 @@ def merged(graded: Sequence[Graded]) -> list[Graded]:
     """
     found: dict[str, Graded] = {}
     for g in graded:
-        part = found.get(g.chosen.id)
-        if part is not None:
-            known = {r.id for r in part.rivals}
-            g = replace(g, rivals=[r for r in g.rivals if r.id in known], doubt=part.doubt or g.doubt)
+        earlier = found.get(g.chosen.id)
+        if earlier is not None:
+            known = {r.id for r in earlier.rivals}
+            g = replace(g, rivals=[r for r in g.rivals if r.id in known], doubt=earlier.doubt or g.doubt)
         found[g.chosen.id] = g
     return list(found.values())
 
@@ -116,12 +116,12 @@ class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
     ) -> None:
-        self._found, self._known, self._said = found, known, report
-        self._predicting = Predicting(validator, self._simulated)
+        self._found, self._known, self._report_progress = found, known, report
+        self._predictions = Predictions(validator, self._report_simulation)
         self._share = self._done = 0.0
         self._settings = found.bench.settings
         self._reasons: dict[str, str] = {}
-        self._worth: dict[str, Worth] = {}
+        self._gains: dict[str, PredictionGain] = {}
         self._rounds = list(found.rounds)
         self._later: list[FoundEffect] = []
 
@@ -135,7 +135,7 @@ class _Selector:
         return found
 
     def _forward(self) -> Selection:
-        self._reasons, self._worth = {}, {}
+        self._reasons, self._gains = {}, {}
         graded: list[Graded] = []
         rounds: list[Round] = []
         while len(graded) < self._settings.most_effects:
@@ -147,43 +147,43 @@ class _Selector:
             _log.info("worth adding: %s (%s)", best.chosen.id, best.doubt or "established")
             graded.append(best)
         kept = self._without_superfluous(merged(graded), rounds[0].bench)
-        return Selection(rivals_beside_later(kept), rounds, self._reasons, self._worth)
+        return Selection(without_rivals_found_later(kept), rounds, self._reasons, self._gains)
 
     def _without_superfluous(
-        self, graded: list[Graded], bench: Bench, whole: dict[float, Array] | None = None
+        self, graded: list[Graded], bench: Bench, all_squares: dict[float, Array] | None = None
     ) -> list[Graded]:
-        """Backward elimination: effects without those that bring nothing once later ones are in the model.
+        """Backward elimination: effects that are not redundant given the later ones.
 
-        A proxy for an effect found later brings nothing once that is in the model. Effects in doubt stay:
-        later ones are evaluated in addition to them. `whole`: squares of predictions with all, if known.
+        A proxy for an effect found later is redundant once that is in the model. Effects in doubt stay, since
+        later ones are evaluated in addition to them. `all_squares`: squared errors with all, if known.
         """
         findings = [g.chosen for g in graded]
-        open_ = [i for i, g in enumerate(graded[:-1]) if not g.doubt]
-        if not open_:
+        removable = [i for i, g in enumerate(graded[:-1]) if not g.doubt]
+        if not removable:
             return graded
-        sets = [[f for f in findings if f is not findings[i]] for i in open_]
-        sets += [findings] if whole is None else []
-        ahead = self._predicting.ahead([fitted(self._found.vehicle, s, bench).fit for s in sets])
-        whole = ahead.pop() if whole is None else whole
-        validator = self._predicting.validator
-        worth = [gained(squares, whole, findings, validator) for squares in ahead]
-        spare = [(w.gain, k) for k, w in enumerate(worth) if not w.enough(self._settings.worth)]
-        if not spare:
+        sets = [[f for f in findings if f is not findings[i]] for i in removable]
+        sets += [findings] if all_squares is None else []
+        ahead = self._predictions.squares_ahead([fitted(self._found.vehicle, s, bench).fit for s in sets])
+        all_squares = ahead.pop() if all_squares is None else all_squares
+        validator = self._predictions.validator
+        gains = [gain_of_effects(squares, all_squares, findings, validator) for squares in ahead]
+        redundant = [(g.log_fall, k) for k, g in enumerate(gains) if not g.suffices(self._settings.worth)]
+        if not redundant:
             return graded
-        _, least = min(spare)
-        superfluous = graded[open_[least]]
-        _log.info("redundant given the others: %s", superfluous.chosen.id)
-        return self._without_superfluous([g for g in graded if g is not superfluous], bench, ahead[least])
+        _, least = min(redundant)
+        weakest = graded[removable[least]]
+        _log.info("redundant given the others: %s", weakest.chosen.id)
+        return self._without_superfluous([g for g in graded if g is not weakest], bench, ahead[least])
 
     def _report(self, done: float, words: str) -> None:
         self._done = max(self._done, self._share + done / self._settings.most_effects)
-        self._said(self._done, words)
+        self._report_progress(self._done, words)
 
-    def _tried(self, done: float, words: str) -> None:
-        self._report(_TRYING * done, words)
+    def _report_weak_form(self, done: float, words: str) -> None:
+        self._report(_WEAK_FORM_SHARE * done, words)
 
-    def _simulated(self, done: float, words: str) -> None:
-        self._report(_TRYING + (1.0 - _TRYING) * done, words)
+    def _report_simulation(self, done: float, words: str) -> None:
+        self._report(_WEAK_FORM_SHARE + (1.0 - _WEAK_FORM_SHARE) * done, words)
 
     def _step(self, graded: Sequence[Graded], rounds: Sequence[Round]) -> tuple[Round, Graded | None]:
         """The next round and its best candidate.
@@ -196,22 +196,22 @@ class _Selector:
         best = self._best(current, graded)
         if best is not None or graded or not np.any(current.bench.base.disturbance):
             return current, best
-        slow = try_all(current.bench.without_disturbance(), self._known, self._tried)
+        slow = try_all(current.bench.without_disturbance(), self._known, self._report_weak_form)
         best = self._best(slow, graded)
         if best is not None:
             return slow, best
-        seen = {f.id for f in beyond_chance(current)}
-        more = [f for f in beyond_chance(slow) if f.id not in seen]
-        known = {f.id for f in more}
+        found = {f.id for f in beyond_chance(current)}
+        additional = [f for f in beyond_chance(slow) if f.id not in found]
+        known = {f.id for f in additional}
         others = [f for f in current.findings if f.id not in known]
-        return replace(current, findings=[*others[: len(seen)], *more, *others[len(seen) :]]), None
+        return replace(current, findings=[*others[: len(found)], *additional, *others[len(found) :]]), None
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate of a round; of the first one, with reasons against the others."""
-        grading = Grading(current, graded, self._predicting, self._later)
+        grading = Grading(current, graded, self._predictions, self._later)
         best = grading.best()
         if not graded:
-            self._worth |= grading.worth
+            self._gains |= grading.gains
             self._reasons |= grading.reasons
         return best
 
@@ -223,7 +223,7 @@ class _Selector:
                 return done
         bench = rounds[-1].bench
         base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
-        self._rounds.append(try_all(replace(bench, base=base), self._known, self._tried))
+        self._rounds.append(try_all(replace(bench, base=base), self._known, self._report_weak_form))
         return self._rounds[-1]
 
 

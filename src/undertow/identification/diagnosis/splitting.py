@@ -32,25 +32,27 @@ def repeats(
     names = tuple(n for n in vehicle.command_names if n not in vehicle.inputs)
     pairs = ((kept, fitted) for kept in test for fitted in train)
     return [
-        (kept.name, fitted.name) for kept, fitted in pairs if names and _same(kept, fitted, names, settings)
+        (kept.name, fitted.name)
+        for kept, fitted in pairs
+        if names and _same_commands(kept, fitted, names, settings)
     ]
 
 
-def _same(one: Run, other: Run, names: Sequence[str], settings: Settings) -> bool:
+def _same_commands(one: Run, other: Run, names: Sequence[str], settings: Settings) -> bool:
     """Whether two runs have the same commands, each counted from its own beginning."""
     first, second = one.t - one.t[0], other.t - other.t[0]
     common = first[first <= second[-1]]
     if common[-1] < settings.same_length * min(first[-1], second[-1]):
         return False
-    mine = np.nan_to_num(one.matrix(names)[: len(common)])
+    kept_commands = np.nan_to_num(one.matrix(names)[: len(common)])
     place = np.searchsorted(second, common, side="right") - 1
-    theirs = np.nan_to_num(other.matrix(names)[place])
-    # A command that is held, as of the propeller in a zigzag, is the same in manoeuvres that are not.
-    size = np.std(mine, axis=0)
-    moved = size > settings.changed_command * np.max(np.abs(mine), axis=0)
-    if not np.any(moved):
+    fitted_commands = np.nan_to_num(other.matrix(names)[place])
+    # A constant command, as of the propeller in a zigzag, is the same in different manoeuvres.
+    size = np.std(kept_commands, axis=0)
+    changing = size > settings.changed_command * np.max(np.abs(kept_commands), axis=0)
+    if not np.any(changing):
         return False
-    difference = (mine - theirs)[:, moved] / size[moved]
+    difference = (kept_commands - fitted_commands)[:, changing] / size[changing]
     return float(np.sqrt(np.mean(difference**2))) < settings.same_commands
 
 
@@ -66,14 +68,14 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
         raise UndertowError(
             f"the vehicle is given as {type(vehicle).__name__}: read it with undertow.load_vehicle first"
         )
-    train, judges = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
+    train, test = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
     if not train:
         raise UndertowError("there is no training log: give at least one run (undertow.read_log)")
-    if odd := next((run for run in [*train, *judges] if not isinstance(run, Run)), None):
+    if wrong := next((run for run in [*train, *test] if not isinstance(run, Run)), None):
         raise UndertowError(
-            f"a log is given as {type(odd).__name__} ({odd!r:.60}): read it with undertow.read_log first"
+            f"a log is given as {type(wrong).__name__} ({wrong!r:.60}): read it with undertow.read_log first"
         )
-    return as_reported(vehicle.without_priors_from(run.sha256 for run in train), train), train, judges
+    return as_reported(vehicle.without_priors_from(run.sha256 for run in train), train), train, test
 
 
 def with_velocities(vehicle: Vehicle, runs: Sequence[Run]) -> list[Run]:
@@ -134,7 +136,7 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
     length = float(np.sum(np.minimum(steps, settings.piece_gap))) / count
     longest = max(min(settings.piece_gap, 0.5 * length), 0.1 * length)
     recorded = np.cumsum([0.0, *np.minimum(steps, longest)])
-    # Between two samples: whether one lies on an edge must not hang on the last digit of its time.
+    # Edges lie between samples, so that no rounding of a time moves a sample into another piece.
     edges = np.interp(np.linspace(0.0, recorded[-1], count + 1), recorded, run.t)
     edges[1:-1] -= 0.25 * run.step
     gap = min(settings.piece_gap, 0.1 * length)

@@ -48,7 +48,7 @@ class Trial:
     candidate: what was tried.
     full: the fit with all its parameters.
     fit: the fit with those that matter.
-    kept: those that matter.
+    kept: those parameters.
     score: how `fit` does on the validation data.
     """
 
@@ -66,7 +66,7 @@ class Trial:
     def with_only(self, kept: Sequence[str], bench: Bench) -> Trial:
         """The same candidate with these of its parameters alone."""
         fit = bench.in_all_runs(_refit(self.candidate, self.full, tuple(kept), bench.settings.rough_step))
-        return replace(self, fit=fit, kept=tuple(kept), score=bench.judge(fit))
+        return replace(self, fit=fit, kept=tuple(kept), score=bench.score(fit))
 
     def with_common_values(self, bench: Bench) -> Trial | None:
         """The same parameters with one value for all runs; None if none of them has one for each."""
@@ -75,34 +75,34 @@ class Trial:
             return None
         common = tuple(dict.fromkeys(plain(n) if plain(n) in own else n for n in free))
         fit = bench.fit(self.candidate.model(common), start=self.fit.values)
-        return replace(self, fit=fit, score=bench.judge(fit))
+        return replace(self, fit=fit, score=bench.score(fit))
 
 
 def try_candidate(
-    candidate: Candidate, bench: Bench, start: Mapping[str, float], enough: float | None = None
+    candidate: Candidate, bench: Bench, start: Mapping[str, float], tolerance: float | None = None
 ) -> Trial:
     """Fit a candidate, drop the parameters that do not matter, and score it."""
     settings = bench.settings
-    enough = settings.rough_step if enough is None else enough
-    fit = bench.fit(candidate.model_from(start), start=start, enough=enough)
+    tolerance = settings.rough_step if tolerance is None else tolerance
+    fit = bench.fit(candidate.model_from(start), start=start, tolerance=tolerance)
     if not np.isfinite(fit.cost):
         return rejected(candidate, bench)
-    # A candidate that explains much earns a finer noise model than the incomplete model had: under that
-    # one its parameters show how well they are known.
+    # If a candidate explains much, the noise model of the incomplete model is too coarse to tell how well
+    # its parameters are known.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
-    fit = _by_run_if_need_be(candidate, fit, bench, enough)
-    matter = parameters_that_matter(fit, candidate.removable, settings.t_in_search)
-    # What differs between runs beyond chance is not zero in all of them.
-    gone = {*candidate.removable} - {*matter, *fit.model.values.by_run}
-    kept = tuple(n for n in candidate.sizes if n not in gone)
-    if kept and not candidate.shown_by(kept):
+    fit = _by_run_if_significant(candidate, fit, bench, tolerance)
+    significant = significant_parameters(fit, candidate.removable, settings.t_in_search)
+    # A parameter that differs significantly between runs is not zero in all of them.
+    dropped = {*candidate.removable} - {*significant, *fit.model.values.by_run}
+    kept = tuple(n for n in candidate.sizes if n not in dropped)
+    if kept and not candidate.made_up_by(kept):
         return rejected(candidate, bench)
-    thin = _refit(candidate, fit, kept, enough) if gone else fit
-    return Trial(candidate, fit, thin, kept, bench.judge(thin))
+    reduced = _refit(candidate, fit, kept, tolerance) if dropped else fit
+    return Trial(candidate, fit, reduced, kept, bench.score(reduced))
 
 
-def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough: float) -> WeakFit:
+def _by_run_if_significant(candidate: Candidate, fit: WeakFit, bench: Bench, tolerance: float) -> WeakFit:
     """The fit with values by run for the parameters that differ significantly between runs, and no others."""
     own = [p.name for p in candidate.parameters]
     split = [n for n in own if n in fit.model.values.by_run]
@@ -110,7 +110,7 @@ def _by_run_if_need_be(candidate: Candidate, fit: WeakFit, bench: Bench, enough:
         values = fit.p[list(fit.model.places)]
         if least_differing(fit.model, values, fit.covariance, [split])[1] < BETWEEN_RUNS.chance:
             return bench.in_all_runs(with_reestimated_noise(fit))
-        fit = bench.fit(candidate.model(), start=fit.values, enough=enough)
+        fit = bench.fit(candidate.model(), start=fit.values, tolerance=tolerance)
     return bench.in_all_runs(separated(fit, own))
 
 
@@ -121,11 +121,11 @@ def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
     parts = [i for i, p in enumerate(candidate.parameters) if not p.alone]
     if not parts:
         return candidate
-    own = whitened(_own_columns(candidate, bench, {}, bench.train), bench.train_whitening).J[:, parts]
+    own = whitened(_candidate_columns(candidate, bench, {}, bench.train), bench.train_whitening).J[:, parts]
     J = bench.base.at.J
-    left = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
-    gone = np.linalg.norm(left, axis=0) <= _REDUNDANT * np.linalg.norm(own, axis=0)
-    names = [candidate.parameters[i].name for i, there in zip(parts, gone, strict=True) if there]
+    rest = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
+    redundant = np.linalg.norm(rest, axis=0) <= _REDUNDANT * np.linalg.norm(own, axis=0)
+    names = [candidate.parameters[i].name for i, drop in zip(parts, redundant, strict=True) if drop]
     return replace(candidate, redundant=(*candidate.redundant, *names))
 
 
@@ -134,10 +134,10 @@ def rejected(candidate: Candidate, bench: Bench) -> Trial:
     return Trial(candidate, bench.base, bench.base, (), bench.base_score)
 
 
-def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: float) -> WeakFit:
+def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], tolerance: float) -> WeakFit:
     dropped = set(candidate.removable) - set(kept)
-    dropped |= _idle(candidate, fit, dropped)
-    # What is left out goes back to where the candidate's vehicle has it: zero, or its default.
+    dropped |= _ineffective(candidate, fit, dropped)
+    # A dropped parameter returns to its value in the vehicle of the candidate: zero, or its default.
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
@@ -146,11 +146,11 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], enough: fl
         start=start,
         whitening=fit.whitening,
         disturbance=fit.disturbance,
-        enough=enough,
+        tolerance=tolerance,
     )
 
 
-def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
+def _ineffective(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
     """Shape parameters without influence once others are dropped: the width of a friction that is absent.
 
     A vehicle file need not state them then, unless the equations need a value: no time constant is zero.
@@ -166,7 +166,7 @@ def _idle(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[s
     return {n for n, idle in zip(fit.model.free, lost, strict=True) if n in shapes and idle}
 
 
-def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: float) -> tuple[str, ...]:
+def significant_parameters(fit: WeakFit, removable: tuple[str, ...], least_t: float) -> tuple[str, ...]:
     """Backward elimination on the quadratic model of the fit, with errors robust to autocorrelation.
 
     Others may compensate for a dropped one within their bounds: if only the ratio of stiffness and inertia is
@@ -179,42 +179,42 @@ def parameters_that_matter(fit: WeakFit, removable: tuple[str, ...], least: floa
     active = list(range(len(names)))
     estimate = np.array([fit.values[n] for n in names])
     while True:
-        left = information[np.ix_(active, active)]
+        remaining = information[np.ix_(active, active)]
         open_to_drop = [i for i, k in enumerate(active) if names[k] in removable]
-        without = [_without(i, estimate[active], left, bounds[:, active]) for i in open_to_drop]
+        without = [_minimum_without(i, estimate[active], remaining, bounds[:, active]) for i in open_to_drop]
         t = [np.sqrt(w.rise) / inflation[active[i]] for i, w in zip(open_to_drop, without, strict=True)]
-        if len(open_to_drop) < 2 or min(t) >= least:
+        if len(open_to_drop) < 2 or min(t) >= least_t:
             return tuple(names[k] for k in active if names[k] in removable)
         weakest = int(np.argmin(t))
         estimate[active] = without[weakest].values
         active.pop(open_to_drop[weakest])
 
 
-class _Without(NamedTuple):
+class _ConstrainedMinimum(NamedTuple):
     """The minimum of a quadratic cost with one parameter zero, and how much higher it is."""
 
     values: Array
     rise: float
 
 
-def _without(i: int, estimate: Array, information: Array, bounds: Array) -> _Without:
+def _minimum_without(i: int, estimate: Array, information: Array, bounds: Array) -> _ConstrainedMinimum:
     """Parameters with the i-th zero and the others within bounds (rows: lower, upper)."""
     others = np.arange(len(estimate)) != i
     covariance = inverse_of(information)
     values = estimate - covariance[:, i] * estimate[i] / covariance[i, i]
     low, high = np.minimum(bounds[0], estimate), np.maximum(bounds[1], estimate)
     if np.all((values >= low) & (values <= high) | ~others):
-        return _Without(values, float(estimate[i] ** 2 / covariance[i, i]))
+        return _ConstrainedMinimum(values, float(estimate[i] ** 2 / covariance[i, i]))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(scale, scale) + 1e-11 * np.eye(len(scale))
     factor = np.linalg.cholesky(scaled).T / scale
     within = (low[others] - 1e-12, high[others] + 1e-12)
     found = lsq_linear(factor[:, others], factor @ estimate, bounds=within, method="bvls")
     values[others], values[i] = found.x, 0.0
-    return _Without(values, 2.0 * float(found.cost))
+    return _ConstrainedMinimum(values, 2.0 * float(found.cost))
 
 
-# Relative difference of a column from what stands in for it.
+# Relative norm of the residual of a column, regressed on the model, up to which it is redundant.
 _REDUNDANT = 1e-6
 
 
@@ -232,20 +232,22 @@ class Screened:
     ) -> None:
         self._candidate, self._bench = candidate, bench
         model = candidate.model_from(start)
-        noise, enough = (bench.train_whitening, bench.base.disturbance), bench.settings.first_step
+        noise, tolerance = (bench.train_whitening, bench.base.disturbance), bench.settings.first_step
         begin = bench.base.values | dict(start)
-        self.start = start_fit(model, bench.train, begin, *noise, steps=steps, enough=enough)
+        self.start = start_fit(model, bench.train, begin, *noise, steps=steps, tolerance=tolerance)
         self.cost, after = predicted_cost(self.start)
         if names := _better_by_run(self.start.model, self.start.at, self.cost, candidate, bench.train):
             free = with_values_by_run(self.start.model.free, names, candidate.runs)
             split = self.start.model.with_free(free)
-            self.start = start_fit(split, bench.train, self.start.values, *noise, steps=steps, enough=enough)
+            self.start = start_fit(
+                split, bench.train, self.start.values, *noise, steps=steps, tolerance=tolerance
+            )
             self.cost, after = predicted_cost(self.start)
         own = [n for n in self.start.model.values.by_run if n not in bench.base.model.values.by_run]
-        self.cost += _by_chance(own, candidate.runs)
+        self.cost += _chance_fall(own, candidate.runs)
         self.values = self.start.values if steps else after
 
-    def closer(self) -> Screened:
+    def after_steps(self) -> Screened:
         """The same after some further steps."""
         return Screened(self._candidate, self._bench, self.values, self._bench.settings.steps_per_start)
 
@@ -267,10 +269,10 @@ def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: W
     split = [at.J[:, chosen] * (place == i)[:, None] for i in range(len(runs))]
     J = np.hstack([np.delete(at.J, chosen, axis=1), *split])
     slope = J.T @ at.r
-    return float(at.r @ at.r - slope @ inverse_of(J.T @ J) @ slope) + _by_chance(names, runs)
+    return float(at.r @ at.r - slope @ inverse_of(J.T @ J) @ slope) + _chance_fall(names, runs)
 
 
-def _by_chance(names: Sequence[str], runs: Sequence[str]) -> float:
+def _chance_fall(names: Sequence[str], runs: Sequence[str]) -> float:
     """Largest fall of the sum of squares by chance for values by run if the runs agree."""
     return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
 
@@ -284,32 +286,32 @@ def screen(candidate: Candidate, bench: Bench) -> list[Screened]:
     refit of the model as given moved far from the stated values, these are a start as well. Starts from which
     states grow without bound are excluded, such as a lag far shorter than the sampling interval.
     """
-    starts = candidate.starts(bench.command_scale, bench.seen)
+    starts = candidate.starts(bench.command_scale, bench.observed_ranges)
     if len(starts) > bench.settings.fitted_starts:
-        starts = _promising(candidate, bench, starts)
-    if bench.stated:
-        starts = [*starts, *(bench.stated | start for start in starts)]
-    every = (Screened(candidate, bench, start) for start in starts)
-    found = sorted((s for s in every if np.isfinite(s.cost)), key=lambda s: s.cost)
+        starts = _best_starts(candidate, bench, starts)
+    if bench.stated_start:
+        starts = [*starts, *(bench.stated_start | start for start in starts)]
+    screened = (Screened(candidate, bench, start) for start in starts)
+    found = sorted((s for s in screened if np.isfinite(s.cost)), key=lambda s: s.cost)
     if len(found) < 2:
         return found
-    # What a step promises may not come true; what some steps have reached has.
-    closer = [s.closer() for s in found]
-    bounded = [s for s in closer if np.isfinite(s.cost)]
+    # A predicted improvement may not materialise: the costs after some steps are compared.
+    after_steps = [s.after_steps() for s in found]
+    bounded = [s for s in after_steps if np.isfinite(s.cost)]
     return sorted(bounded or found, key=lambda s: s.start.cost)
 
 
 def best_start(
-    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], enough: float = 0.0
+    candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]], tolerance: float = 0.0
 ) -> dict[str, float]:
-    """The best of several fits: a few steps cannot show which start leads there."""
+    """The best of several fits: a few steps do not show which start leads to the lowest minimum."""
     if len(starts) == 1:
         return starts[0]
-    fits = [bench.fit(candidate.model_from(start), start=start, enough=enough) for start in starts]
+    fits = [bench.fit(candidate.model_from(start), start=start, tolerance=tolerance) for start in starts]
     return min(fits, key=lambda fit: fit.cost if np.isfinite(fit.cost) else np.inf).values
 
 
-def _own_columns(
+def _candidate_columns(
     candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
 ) -> list[Linearised]:
     """The model with a candidate at a start, linearised in the candidate's own parameters only."""
@@ -322,7 +324,7 @@ def _own_columns(
     return model.linearise(data, np.array([values[n] for n in names]))
 
 
-def _promising(
+def _best_starts(
     candidate: Candidate, bench: Bench, starts: Sequence[dict[str, float]]
 ) -> list[dict[str, float]]:
     """The best of many starts, by the candidate's columns together with those of the model as given.
@@ -333,15 +335,15 @@ def _promising(
     bounds, prior, reach = bounds_of(model), search_prior(model), step_limits(model)
     costs = []
     for start in starts:
-        at = whitened(_own_columns(candidate, bench, start, bench.train), bench.train_whitening)
-        beside = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
+        at = whitened(_candidate_columns(candidate, bench, start, bench.train), bench.train_whitening)
+        joint = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
         stated = model.functions.vehicle.value_of
         now = np.array([values[n] if n in values else stated(plain(n)).value for n in model.free])
-        step = bounded_step(beside, now, within_limits(bounds, now, reach), prior)
-        cost = float(np.sum((beside.r + beside.J @ step) ** 2))
-        names = _better_by_run(model, beside, cost, candidate, bench.train)
-        costs.append(_cost_by_run(model, beside, names, bench.train) if names else cost)
+        step = bounded_step(joint, now, within_limits(bounds, now, reach), prior)
+        cost = float(np.sum((joint.r + joint.J @ step) ** 2))
+        names = _better_by_run(model, joint, cost, candidate, bench.train)
+        costs.append(_cost_by_run(model, joint, names, bench.train) if names else cost)
     return [starts[i] for i in np.argsort(costs)[: bench.settings.fitted_starts]]
 
 
@@ -372,8 +374,8 @@ def packed(trial: Trial, bench: Bench) -> PackedTrial:
     """The trial as plain data."""
     if trial.full is bench.base:
         return PackedTrial(None, None, trial.kept, trial.score)
-    thin = None if trial.fit is trial.full else _packed_fit(trial.fit, bench)
-    return PackedTrial(_packed_fit(trial.full, bench), thin, trial.kept, trial.score)
+    reduced = None if trial.fit is trial.full else _packed_fit(trial.fit, bench)
+    return PackedTrial(_packed_fit(trial.full, bench), reduced, trial.kept, trial.score)
 
 
 def _packed_fit(fit: WeakFit, bench: Bench) -> _PackedFit:
@@ -389,7 +391,7 @@ def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
     return Trial(candidate, full, fit, found.kept, found.score)
 
 
-def _unpacked_fit(bare: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
-    whitening = bench.train_whitening if bare.whitening is None else bare.whitening
-    model = candidate.model(bare.free).knowing(bare.known)
-    return WeakFit(model, bare.p, bench.train, whitening, bare.at, bare.disturbance, bare.iterations)
+def _unpacked_fit(fit: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
+    whitening = bench.train_whitening if fit.whitening is None else fit.whitening
+    model = candidate.model(fit.free).knowing(fit.known)
+    return WeakFit(model, fit.p, bench.train, whitening, fit.at, fit.disturbance, fit.iterations)

@@ -26,9 +26,9 @@ from undertow.identification.estimation.step import bounds_of, prior_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     adapted,
-    factor_of_the_rest,
+    estimation_part_factor,
     in_runs,
-    learned_from,
+    used_in_estimation,
 )
 from undertow.identification.estimation.windows import (
     HORIZONS,
@@ -62,7 +62,7 @@ def simulates_to_noise(shooting: Shooting, p: Array, starts: Array, settings: Se
     if not np.any(used) or not np.all(np.isfinite(errors[used])):
         return False
     errors = errors[:, :, np.any(used, axis=(0, 1))]
-    means = means_over(errors, _seconds(shooting.windows.t, settings.slow_error_window))
+    means = means_over(errors, _part_of_window(shooting.windows.t, settings.slow_error_window))
     return all(_is_noise(e, starts.size, settings) for e in (errors, means))
 
 
@@ -76,13 +76,13 @@ def means_over(errors: Array, part: NDArray[np.intp]) -> Array:
     windows, _, channels = errors.shape
     shape = windows, int(part.max(initial=0)) + 1, channels
     place = np.broadcast_to(np.arange(windows)[:, None], part.shape), part
-    total, there = np.zeros(shape), np.zeros(shape)
+    total, present = np.zeros(shape), np.zeros(shape)
     np.add.at(total, place, np.nan_to_num(errors))
-    np.add.at(there, place, np.isfinite(errors).astype(float))
-    return np.divide(total, np.sqrt(there), out=np.full(shape, np.nan), where=there > 0)
+    np.add.at(present, place, np.isfinite(errors).astype(float))
+    return np.divide(total, np.sqrt(present), out=np.full(shape, np.nan), where=present > 0)
 
 
-def _seconds(t: Array, length: float) -> NDArray[np.intp]:
+def _part_of_window(t: Array, length: float) -> NDArray[np.intp]:
     """Part of its window in which a sample falls, each this many seconds long or half of a short window."""
     since = t - t[:, :1]
     return np.asarray(since // min(length, max(float(since.max()) / 2.0, 1e-9)), dtype=np.intp)
@@ -93,12 +93,12 @@ def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
     count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
     level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
-    any_one = settings.channel_noise_limit + settings.chance_errors * np.sqrt(2.0 / count)
-    over_all = settings.mean_noise_limit + settings.chance_errors * np.sqrt(2.0 / count.sum())
-    return bool(np.all(level < any_one) and np.average(level, weights=count) < over_all)
+    channel_limit = settings.channel_noise_limit + settings.chance_errors * np.sqrt(2.0 / count)
+    mean_limit = settings.mean_noise_limit + settings.chance_errors * np.sqrt(2.0 / count.sum())
+    return bool(np.all(level < channel_limit) and np.average(level, weights=count) < mean_limit)
 
 
-def within_errors(
+def refitted_within_errors(
     fit: OutputErrorFit, shooting: Shooting, starts: Array, settings: Settings = DEFAULT
 ) -> tuple[Array, Array] | None:
     """The parameters that simulate other windows best, with the fit as prior.
@@ -116,21 +116,21 @@ def within_errors(
         at = shooting.linearise(p, starts)
         if not np.isfinite(at.cost):
             return None
-        moved = p[places] - fitted[places]
-        slope = at.J.T @ at.r + information @ moved
+        change = p[places] - fitted[places]
+        slope = at.J.T @ at.r + information @ change
         step = np.linalg.lstsq(at.J.T @ at.J + information, -slope, rcond=None)[0]
         step = np.clip(p[places] + step, *bounds_of(fit.model)) - p[places]
         starts = starts + at.start_step + at.start_slope @ step
         p[places] += step
-    moved = p[places] - fitted[places]
-    likely = moved @ information @ moved < chi2.isf(settings.transfer_chance, max(len(moved), 1))
+    change = p[places] - fitted[places]
+    likely = change @ information @ change < chi2.isf(settings.transfer_chance, max(len(change), 1))
     return (p, starts) if likely else None
 
 
 F = TypeVar("F", bound=Fitted | Vehicle)
 T = TypeVar("T")
 # Where the simulation of one model diverges and that of the other does not.
-_BEYOND = 1e12
+_DIVERGED = 1e12
 
 
 @dataclass(frozen=True)
@@ -162,35 +162,35 @@ def relative_squares(prediction: Prediction) -> Array:
     windows = prediction.windows
     pose = [i for i in range(half) if np.any(np.isfinite(windows.measured[:, :, i]))]
     columns = [*range(half, 2 * half), *pose]
-    moved = windows.measured - np.where(np.arange(2 * half) < half, windows.start, 0.0)[:, None]
-    measured, error = moved[:, 1:, columns], prediction.residual[:, 1:, columns]
+    motion = windows.measured - np.where(np.arange(2 * half) < half, windows.start, 0.0)[:, None]
+    measured, error = motion[:, 1:, columns], prediction.residual[:, 1:, columns]
     lost = np.any(~np.isfinite(prediction.predicted).all(axis=2) & windows.inside, axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         total, count = np.nansum(error**2, axis=1), np.count_nonzero(np.isfinite(measured), axis=1)
         mean = np.where(count > 0, total / np.maximum(count, 1), total.sum(axis=0) / count.sum(axis=0))
         square = mean / np.nanmean(measured**2, axis=(0, 1))
-    return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _BEYOND), _BEYOND)
+    return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _DIVERGED), _DIVERGED)
 
 
-def _as_the_rest(fit: Fitted, squares: Array, windows: Windows) -> Array:
-    """Squares by window, (b,) or (b, n), raised to the average in those a fit has learned values from."""
-    first = learned_from(fit, windows.runs, windows.run, windows.t[:, 0])
-    return squares * factor_of_the_rest(squares, first, windows.run)
+def _corrected(fit: Fitted, squares: Array, windows: Windows) -> Array:
+    """Squares by window, (b,) or (b, n), raised to the average in those used for estimation."""
+    first = used_in_estimation(fit, windows.runs, windows.run, windows.t[:, 0])
+    return squares * estimation_part_factor(squares, first, windows.run)
 
 
-class _Ahead(NamedTuple):
-    """How a model predicts windows of one length."""
+class _Errors(NamedTuple):
+    """Errors of the predictions of a model over windows of one length."""
 
-    shares: float  # error of the velocities, as a share of their rms
-    metres: float  # that of the position, m
-    # (b, n + m), as of `SimulationValidator.squares_ahead`; what a fit has learned values from counts no less
+    velocity: float  # error of the velocities, as a share of their rms
+    position: float  # that of the position, m
+    # (b, n + m), see `SimulationValidator.squares_ahead`; raised where a fit has used the data itself
     squares: Array
 
     @classmethod
-    def of(cls, model: Fitted | Vehicle, found: Prediction) -> _Ahead:
+    def of(cls, model: Fitted | Vehicle, found: Prediction) -> _Errors:
         squares = relative_squares(found)
         if isinstance(model, Fitted):
-            squares = _as_the_rest(model, squares, found.windows)
+            squares = _corrected(model, squares, found.windows)
         return cls(float(prediction_error(found)), float(position_error(found)), squares)
 
 
@@ -210,7 +210,7 @@ class SimulationValidator:
     ) -> None:
         self._vehicle, self.train, self.test, self.sigma = vehicle, train, test, sigma
         self.settings = settings
-        self._known: dict[tuple[str, int], tuple[Fitted | Vehicle, Any]] = {}
+        self._cache: dict[tuple[str, int], tuple[Fitted | Vehicle, Any]] = {}
 
     @cached_property
     def shortest(self) -> float:
@@ -220,7 +220,7 @@ class SimulationValidator:
 
     @cached_property
     def windows(self) -> Windows:
-        """The windows that decide."""
+        """The short windows, in which models are compared."""
         return self._cut(self.settings.short_windows)
 
     @cached_property
@@ -228,38 +228,38 @@ class SimulationValidator:
         return self._cut(self.settings.long_windows)
 
     def _cut(self, horizon: float) -> Windows:
-        # Of a slow log, windows in which more than the start is left to judge.
+        # In a log with a low sampling rate, windows that have more samples than the start.
         if horizon < shortest_horizon(self.test):
             horizon = shortest_horizon(self.test, HORIZONS.fewest_samples)
         length = min(horizon, self.shortest)
-        return cut(self.test, self._vehicle, length, sigma=self.sigma, skip=self._unknown)
+        return cut(self.test, self._vehicle, length, sigma=self.sigma, skip=self._unscored_start)
 
     @property
-    def _unknown(self) -> float:
-        # A lag would fit what was commanded before the log, for its past is free; a dead time would not.
+    def _unscored_start(self) -> float:
+        # A lag can fit commands before the log, since its initial state is free; a dead time cannot.
         return min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
 
-    def _once(self, what: str, fit: F, work: Callable[[F], T]) -> T:
+    def _cached(self, key: str, fit: F, work: Callable[[F], T]) -> T:
         """Cached results for a fit; the fit is kept, since its identity is the key."""
-        key = what, id(fit)
-        if key not in self._known:
-            self._known[key] = fit, work(fit)
-        found: T = self._known[key][1]
+        entry = key, id(fit)
+        if entry not in self._cache:
+            self._cache[entry] = fit, work(fit)
+        found: T = self._cache[entry][1]
         return found
 
     def squares(self, fit: Fitted) -> Array:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
-        return self._once("squares", fit, self._squares)
+        return self._cached("squares", fit, self._squares)
 
     def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
-        shooting, starts = self._shot(fit, horizon or self.settings.short_windows)
-        return _as_the_rest(fit, shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows)
+        shooting, starts = self._shooting_at_best_starts(fit, horizon or self.settings.short_windows)
+        return _corrected(fit, shooting.mean_squares(np.asarray(fit.p), starts), shooting.windows)
 
-    def _shot(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
+    def _shooting_at_best_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of one length, and the best start of each."""
-        return self._once(f"shot over {horizon:g} s", fit, lambda fit: self._at_best_starts(fit, horizon))
+        return self._cached(f"shooting over {horizon:g} s", fit, lambda fit: self._fit_starts(fit, horizon))
 
-    def _at_best_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
+    def _fit_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         shooting = self._shooting(fit, horizon)
         return shooting, shooting.fitted_starts(np.asarray(fit.p))
 
@@ -275,7 +275,7 @@ class SimulationValidator:
         return tuple(dict.fromkeys(float(f"{min(h, self.shortest):.2g}") for h in wanted))
 
     @cached_property
-    def _ahead(self) -> dict[float | None, Windows]:
+    def _prediction_windows(self) -> dict[float | None, Windows]:
         lengths = (*self.horizons, None)
         return {h: cut(self.test, self._vehicle, h, sigma=self.sigma) for h in lengths}
 
@@ -283,9 +283,11 @@ class SimulationValidator:
         """Errors of predictions by horizon and over whole runs: of velocities in shares of their rms, and of
         the position in m.
         """
-        found = self._judged(model, (*self.horizons, None))
-        names = {h: "free run" if h is None else f"{h:g} s" for h in self._ahead}
-        return {n: found[h].shares for h, n in names.items()}, {n: found[h].metres for h, n in names.items()}
+        found = self._errors(model, (*self.horizons, None))
+        names = {h: "free run" if h is None else f"{h:g} s" for h in self._prediction_windows}
+        return {n: found[h].velocity for h, n in names.items()}, {
+            n: found[h].position for h, n in names.items()
+        }
 
     def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
         """The same over the short windows that decide, and that of each velocity; None if it diverges."""
@@ -302,12 +304,14 @@ class SimulationValidator:
         predictor = Predictor(vehicles[0], compiled=False)
         return (predict_each(vehicles, w, predictor) for w in windows)
 
-    def _judged(self, model: Fitted | Vehicle, lengths: Sequence[float | None]) -> dict[float | None, _Ahead]:
+    def _errors(
+        self, model: Fitted | Vehicle, lengths: Sequence[float | None]
+    ) -> dict[float | None, _Errors]:
         """Predictions over windows of such lengths (None: whole runs), each judged once."""
-        known: dict[float | None, _Ahead] = self._once("ahead", model, lambda _: {})
+        known: dict[float | None, _Errors] = self._cached("ahead", model, lambda _: {})
         if new := [h for h in lengths if h not in known]:
-            found = self._predicted(model, [self._ahead[h] for h in new])
-            known |= {h: _Ahead.of(model, p) for h, p in zip(new, found, strict=True)}
+            found = self._predicted(model, [self._prediction_windows[h] for h in new])
+            known |= {h: _Errors.of(model, p) for h, p in zip(new, found, strict=True)}
         return known
 
     def squares_ahead(self, fit: Fitted) -> dict[float, Array]:
@@ -316,7 +320,7 @@ class SimulationValidator:
         The velocities come first, then the measured channels of the pose, each in units of the mean square of
         its motion in all windows (`relative_squares`); very large where a simulation diverged.
         """
-        found = self._judged(fit, self.horizons)
+        found = self._errors(fit, self.horizons)
         return {h: found[h].squares for h in self.horizons}
 
     def velocities(self, squares: Mapping[float, Array]) -> dict[float, Array]:
@@ -330,31 +334,31 @@ class SimulationValidator:
 
     def final(self, weak: WeakFit) -> tuple[Fitted, Array]:
         """A model after the final step of `fit`, and how it simulates."""
-        fit = self._once("final", weak, lambda fit: final_fit(fit, self.train, self.test))
+        fit = self._cached("final", weak, lambda fit: final_fit(fit, self.train, self.test))
         return fit, self.squares(fit)
 
-    def judged_fit(self, weak: WeakFit) -> Fitted:
+    def predicting_fit(self, weak: WeakFit) -> Fitted:
         """The fit by which a model was judged: the final one if it predicted, else that of the weak form."""
-        fit: Fitted = self._known.get(("final", id(weak)), (weak, weak))[1]
+        fit: Fitted = self._cache.get(("final", id(weak)), (weak, weak))[1]
         return fit
 
-    def finish(self, models: Sequence[WeakFit], done: Callable[[int, int], None]) -> None:
-        """Compute `final` of models, and their predictions, on all cores; `done` is told the progress.
+    def compute_final_fits(self, models: Sequence[WeakFit], done: Callable[[int, int], None]) -> None:
+        """Compute `final` of models, and their predictions, on all cores; `done` receives the progress.
 
         A fit is returned without its model, which cannot be sent between processes; it is that of the start.
         """
-        new = [weak for weak in models if ("final", id(weak)) not in self._known]
+        new = [weak for weak in models if ("final", id(weak)) not in self._cache]
 
-        def work(i: int) -> tuple[dict[str, Any], Array, dict[float | None, _Ahead]]:
+        def work(i: int) -> tuple[dict[str, Any], Array, dict[float | None, _Errors]]:
             fit, squares = self.final(new[i])
             own = fields(fit) if isinstance(fit, OutputErrorFit) else ()
             parts = {f.name: getattr(fit, f.name) for f in own if f.name != "model"}
-            return parts, squares, self._judged(fit, self.horizons)
+            return parts, squares, self._errors(fit, self.horizons)
 
         for i, (parts, squares, ahead) in enumerate(mapped(work, len(new))):
             fit = OutputErrorFit(new[i].model, **parts) if parts else new[i]
-            for what, of, found in (("final", new[i], fit), ("squares", fit, squares), ("ahead", fit, ahead)):
-                self._known[what, id(of)] = of, found
+            for key, of, found in (("final", new[i], fit), ("squares", fit, squares), ("ahead", fit, ahead)):
+                self._cache[key, id(of)] = of, found
             done(i + 1, len(new))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
@@ -372,7 +376,7 @@ class SimulationValidator:
 
     def residual_is_noise(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak-form residual or by simulation."""
-        if self._once(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
+        if self._cached(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
             return True
         return self.leaves_only_noise(weak)
 
@@ -383,7 +387,7 @@ class SimulationValidator:
         the bias of |v|v of a noisy v if the noise is large. In long windows even a small force shows, and so
         does a small error of a parameter, which may therefore move within its errors.
         """
-        return self._once("noise", weak, self._leaves_only_noise)
+        return self._cached("noise", weak, self._leaves_only_noise)
 
     def _within_reach(self, weak: WeakFit) -> bool:
         """Whether a fit by output error may bring a model down to the noise: it is expensive, and useless for
@@ -401,13 +405,13 @@ class SimulationValidator:
         fit = self._refined(weak, long)
         if not isinstance(fit, OutputErrorFit):
             return False
-        shooting, starts = self._shot(fit, long)
+        shooting, starts = self._shooting_at_best_starts(fit, long)
         if simulates_to_noise(shooting, np.asarray(fit.p), starts, settings):
             return True
-        moved = within_errors(fit, self._shooting(fit, long, fit.model.free), starts, settings)
-        return moved is not None and simulates_to_noise(shooting, *moved, settings)
+        adjusted = refitted_within_errors(fit, self._shooting(fit, long, fit.model.free), starts, settings)
+        return adjusted is not None and simulates_to_noise(shooting, *adjusted, settings)
 
-    def significantly_worse(self, weak: WeakFit, by: WeakFit) -> bool:
+    def significantly_worse(self, weak: WeakFit, than: WeakFit) -> bool:
         """Whether a model simulates significantly worse than another, in short windows or long ones.
 
         For models that leave little but noise, for which the sum of squares is a likelihood. Long windows
@@ -415,7 +419,7 @@ class SimulationValidator:
         a vehicle is about to turn, a small parameter error grows to many times the noise. A residual above
         the noise counts as noise. If short and long windows contradict each other, neither model is better.
         """
-        costs = self._costs(weak), self._costs(by), self._levels(by)
+        costs = self._costs(weak), self._costs(than), self._levels(than)
         return significantly_worse_in_windows(*costs, self.settings)
 
     @property
@@ -424,9 +428,9 @@ class SimulationValidator:
 
     def _costs(self, weak: WeakFit) -> list[Array]:
         """Sum of squares in units of the noise, in each of the short windows and of the long ones."""
-        return self._once("costs", weak, self._worked_out_costs)
+        return self._cached("costs", weak, self._compute_costs)
 
-    def _worked_out_costs(self, weak: WeakFit) -> list[Array]:
+    def _compute_costs(self, weak: WeakFit) -> list[Array]:
         return [
             min((self._cost(fit, horizon) for fit in (weak, self._refined(weak, horizon))), key=np.sum)
             for horizon in self._lengths
@@ -434,17 +438,17 @@ class SimulationValidator:
 
     def _levels(self, weak: WeakFit) -> list[float]:
         """Mean square in units of the noise, for short and long windows."""
-        return self._once("levels", weak, self._worked_out_levels)
+        return self._cached("levels", weak, self._compute_levels)
 
-    def _worked_out_levels(self, weak: WeakFit) -> list[float]:
-        used = [self._shot(weak, horizon)[0].used for horizon in self._lengths]
+    def _compute_levels(self, weak: WeakFit) -> list[float]:
+        used = [self._shooting_at_best_starts(weak, horizon)[0].used for horizon in self._lengths]
         left = [
             cost / np.maximum(u.sum(axis=(1, 2)), 1) for cost, u in zip(self._costs(weak), used, strict=True)
         ]
-        return [float(np.clip(np.mean(square), 1.0, _BEYOND)) for square in left]
+        return [float(np.clip(np.mean(square), 1.0, _DIVERGED)) for square in left]
 
     def _cost(self, fit: Fitted, horizon: float) -> Array:
-        shooting, starts = self._shot(fit, horizon)
+        shooting, starts = self._shooting_at_best_starts(fit, horizon)
         return shooting.squares(np.asarray(fit.p), starts)
 
     def surviving(self, contenders: Sequence[Contender]) -> list[EffectSet]:
@@ -463,20 +467,20 @@ class SimulationValidator:
         def worse(c: Contender) -> bool:
             if near and self.significantly_worse(c.effect_set.fit, best.effect_set.fit):
                 return True
-            # Smaller gaps may be ever so regular: they say how the two bend to what neither explains.
+            # Smaller differences, however regular, show how both compensate for what neither explains.
             notable = near or c.error > self.settings.notably_worse * best.error
             return notable and self.worse_by_rank_test(c.squares, best.squares)
 
         equals = [best.effect_set, *(c.effect_set for c in ordered[1:] if not worse(c))]
-        return sorted(equals, key=_freedom)
+        return sorted(equals, key=_parameter_count)
 
-    def worse_by_rank_test(self, squares: Array, than: Array) -> bool:
+    def worse_by_rank_test(self, squares: Array, reference: Array) -> bool:
         """Whether one model simulates the windows significantly worse than another."""
-        return worse_by_rank_test(squares, than, self.settings)
+        return worse_by_rank_test(squares, reference, self.settings)
 
     def _refined(self, weak: WeakFit, horizon: float | None = None) -> Fitted:
         horizon = horizon or self.settings.short_windows
-        return self._once(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
+        return self._cached(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
         # Over long windows a fit may end in a local minimum of its own unless it begins close by.
@@ -491,17 +495,17 @@ class SimulationValidator:
             )
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
-        # What is known of the validation runs themselves stays what it is.
+        # Values estimated from the validation runs themselves remain.
         return replace(refined, model=refined.model.knowing(weak.model.values.known))
 
 
-def _freedom(effect_set: EffectSet) -> int:
+def _parameter_count(effect_set: EffectSet) -> int:
     """Number of parameters that its effects declare for this vehicle, needed or not."""
     return sum(len(f.trial.candidate.parameters) for f in effect_set.findings)
 
 
 def significantly_worse_in_windows(
-    costs: Sequence[Array], of_other: Sequence[Array], levels: Sequence[float], settings: Settings = DEFAULT
+    costs: Sequence[Array], others: Sequence[Array], levels: Sequence[float], settings: Settings = DEFAULT
 ) -> bool:
     """Whether sums of squares by window, short ones and long, are larger than those of another model.
 
@@ -509,8 +513,8 @@ def significantly_worse_in_windows(
     """
     with np.errstate(invalid="ignore"):
         gaps = [
-            np.nan_to_num((worse - better) / level, posinf=_BEYOND, neginf=-_BEYOND)
-            for worse, better, level in zip(costs, of_other, levels, strict=True)
+            np.nan_to_num((worse - better) / level, posinf=_DIVERGED, neginf=-_DIVERGED)
+            for worse, better, level in zip(costs, others, levels, strict=True)
         ]
     behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
     return behind > settings.more_than_chance and ahead < settings.more_than_chance
@@ -520,11 +524,11 @@ def _without_largest(gaps: Array) -> float:
     return float(np.sum(gaps) - np.max(gaps))
 
 
-def worse_by_rank_test(squares: Array, than: Array, settings: Settings = DEFAULT) -> bool:
+def worse_by_rank_test(squares: Array, reference: Array, settings: Settings = DEFAULT) -> bool:
     """Whether one model simulates the windows significantly worse than another."""
-    gap = squares - than
+    gap = squares - reference
     if not np.all(np.isfinite(squares)):
-        return bool(np.all(np.isfinite(than)))
+        return bool(np.all(np.isfinite(reference)))
     if np.allclose(gap, 0.0, atol=1e-9):
         return False
     if len(gap) < settings.testable_windows:

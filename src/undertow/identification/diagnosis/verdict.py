@@ -28,9 +28,9 @@ from undertow.typing import Array
 
 from .bench import Bench, Score, comparable_mean_squares
 from .candidates import Candidate
-from .consistency import left_open
+from .consistency import undetermined_by_fit
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
-from .grading import Graded, found_beside
+from .grading import Graded, doubt_of_companion
 from .result import NO_EVIDENCE, Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
 from .rounds import other_values
 from .search import Search
@@ -73,8 +73,8 @@ class Remainder:
     nearly: bool = False
 
 
-#: Doubt of forces that leave the residual force no smaller: a force that is missing is missing at every
-#: instant, and what predictions alone get better with makes up for the way in which something else adds up.
+#: Doubt about effects that do not reduce the residual force: a missing force is missing at every instant, and
+#: an effect that improves predictions alone compensates for errors that accumulate for another reason.
 ONLY_SIMULATIONS = "it improves only the simulations; the residual force itself is no smaller"
 
 
@@ -93,8 +93,8 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
         return _without_effect(left.residual_is_noise, share)
     if doubt := _doubt(share, left, found.bench.settings):
         return _unexplained(winners, share, doubt)
-    firm, doubts = _established(found)
-    named, helping = winners[:firm], winners[firm:]
+    count, doubts = _established(found)
+    named, helping = winners[:count], winners[count:]
     return _with_effects(found, named, helping, doubts, share, left.residual_is_noise)
 
 
@@ -107,7 +107,7 @@ def judge_selection(
     named, helping = found.winners[:count], found.winners[count:]
     if not found.winners:
         return _without_effect(residual_is_noise=False, share=share)
-    doubts = [_doubtful(f, g) for f, g in zip(helping, selection.graded[count:], strict=True)]
+    doubts = [_doubt_in_words(f, g) for f, g in zip(helping, selection.graded[count:], strict=True)]
     return _with_effects(found, named, helping, doubts, share, residual_is_noise=False)
 
 
@@ -117,13 +117,13 @@ def _established(found: Search) -> tuple[int, list[str]]:
     That the residual is noise shows that a model is sufficient, not that its parts exist.
     """
     winners, settings = found.winners, found.bench.settings
-    refuted = [left_open(f, found.effect_set.fit, settings) for f in winners]
-    firm = next((k for k, words in enumerate(refuted) if words), None)
-    if firm is None:
+    refuted = [undetermined_by_fit(f, found.effect_set.fit, settings) for f in winners]
+    count = next((k for k, words in enumerate(refuted) if words), None)
+    if count is None:
         return len(winners), []
-    first, *later = winners[firm:]
-    beside = [f"{f.id}: {found_beside(first.id)}." for f in later]
-    return firm, [f"{first.id} is not established: {refuted[firm]}.", *beside]
+    first, *later = winners[count:]
+    beside = [f"{f.id}: {doubt_of_companion(first.id)}." for f in later]
+    return count, [f"{first.id} is not established: {refuted[count]}.", *beside]
 
 
 def _with_effects(
@@ -137,18 +137,18 @@ def _with_effects(
     """That effects are missing, or only help, with the doubts about the latter."""
     if not named:
         return Judgement("helps_prediction", " ".join(doubts), [], [], share, helping)
-    sets = [s for s in _sets(found) if s.effects[0] in unique_ids(named)]
+    sets = [s for s in _indistinguishable_sets(found) if s.effects[0] in unique_ids(named)]
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > found.bench.settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
-    text = " ".join([_named(named, sets, share, residual_is_noise), *doubts])
+    text = " ".join([_headline(named, sets, share, residual_is_noise), *doubts])
     return Judgement(verdict, text, named, sets, share, helping)
 
 
-def _doubtful(finding: FoundEffect, graded: Graded) -> str:
-    horizon = max(graded.worth.falls, key=lambda h: graded.worth.falls[h])
+def _doubt_in_words(finding: FoundEffect, graded: Graded) -> str:
+    horizon = max(graded.gain.falls, key=lambda h: graded.gain.falls[h])
     return (
-        f"{finding.id} ({graded.worth.falls[horizon]:.0%} less error over {horizon:g} s) is not established: "
+        f"{finding.id} ({graded.gain.falls[horizon]:.0%} less error over {horizon:g} s) is not established: "
         f"{graded.doubt}."
     )
 
@@ -179,23 +179,23 @@ def error_of_sensors(
     predicted velocity. If only one of them was measured they are not `compared`, and a sensor error cannot be
     told from a force. An error of unknown size is no evidence.
     """
-    there = (f for f in findings if f.significant and f.of_sensors and _is_known(f))
-    own = (f for f in there if not f.by_slow_disturbance(settings))
+    significant = (f for f in findings if f.significant and f.of_sensors and _has_determined_parameter(f))
+    own = (f for f in significant if not f.may_be_slow_disturbance(settings))
     most = max(own, key=lambda f: f.explained, default=None)
     if most is None or most.explained < settings.sensor_share:
         return None
-    takes = f"{most.id} removes {most.explained:.0%} of the excess over noise"
+    found = f"{most.id} removes {most.explained:.0%} of the excess over noise"
     text = (
-        f"Unexplained: the sensors contradict each other. {takes} in the relation of pose to velocity, which "
+        f"Unexplained: the sensors contradict each other. {found} in the relation of pose to velocity, which "
         "no disturbance affects, but is not established as the cause: check the logs with undertow doctor."
         if compared
-        else f"Unexplained: {takes}, but is not established as the cause. No measured velocity can be "
+        else f"Unexplained: {found}, but is not established as the cause. No measured velocity can be "
         "compared with a pose: an error of the sensor and a missing force look alike."
     )
     return Judgement("unexplained", text, [], [], most.explained)
 
 
-def _is_known(finding: FoundEffect) -> bool:
+def _has_determined_parameter(finding: FoundEffect) -> bool:
     """Whether any parameter of an effect is known to differ from zero."""
     fit = finding.trial.fit
     own = [n for n in fit.model.free if plain(n) in finding.parameters]
@@ -226,12 +226,12 @@ def _unexplained(winners: list[FoundEffect], share: float, reason: str) -> Judge
     return Judgement("unexplained", text, [], [], share)
 
 
-def _named(
+def _headline(
     winners: list[FoundEffect], sets: list[Indistinguishable], share: float, residual_is_noise: bool
 ) -> str:
-    open_ = {e for s in sets for e in s.effects}
-    rest = "what remains is noise" if residual_is_noise else _explaining(len(unique_ids(winners)), share)
-    names = " and ".join(n for n in unique_ids(winners) if n not in open_)
+    indistinguishable = {e for s in sets for e in s.effects}
+    rest = "what remains is noise" if residual_is_noise else _share_in_words(len(unique_ids(winners)), share)
+    names = " and ".join(n for n in unique_ids(winners) if n not in indistinguishable)
     if not sets:
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)
@@ -240,7 +240,7 @@ def _named(
     return f"{certain} which is missing: {choice}. {alike}; {rest}."
 
 
-def _explaining(count: int, share: float) -> str:
+def _share_in_words(count: int, share: float) -> str:
     """Change of the force residual by effects, which fits to long simulations need not reduce."""
     if share <= 0.0:
         return ONLY_SIMULATIONS
@@ -253,7 +253,7 @@ def unique_ids(findings: list[FoundEffect]) -> list[str]:
     return list(dict.fromkeys(f.id for f in findings))
 
 
-def _sets(found: Search) -> list[Indistinguishable]:
+def _indistinguishable_sets(found: Search) -> list[Indistinguishable]:
     return [
         Indistinguishable(effects=[best.id, *(c.findings[i].id for c in rivals)], reason=_reason(best))
         for i, (best, rivals) in enumerate(zip(found.winners, found.rivals, strict=True))
@@ -280,9 +280,9 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     prior = stated.values.get(plain(name))
     return Estimate(
         name=name,
-        effect=_owner(vehicle, parameter.name),
+        effect=_effect_of(vehicle, parameter.name),
         value=printed(parameter, fit.values[name], stated.signs),
-        standard_error=_known(fit.standard_errors[name]),
+        standard_error=_determined(fit.standard_errors[name]),
         unit=parameter.shown_unit,
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
@@ -310,21 +310,21 @@ def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> Values
     )
 
 
-def _owner(vehicle: Vehicle, name: str) -> str:
+def _effect_of(vehicle: Vehicle, name: str) -> str:
     return next(e.id for e in vehicle.all_effects if any(p.name == name for p in e.parameters))
 
 
-def _known(standard_error: float) -> float | None:
+def _determined(standard_error: float) -> float | None:
     """A standard error, unless the data carry no information on the parameter."""
     return standard_error if standard_error < NOTHING_SAID else None
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:
     """The fitted values compared with those of the file, in its signs; empty if there are none."""
-    return ", ".join(_value(stated, fit, name, alike) for name, alike in freed.items())
+    return ", ".join(_value_in_words(stated, fit, name, alike) for name, alike in freed.items())
 
 
-def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str:
+def _value_in_words(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str:
     found = estimate(fit, name, stated)
     error = "" if found.standard_error is None else f" ± {found.standard_error:.1g}"
     unit = f" {found.unit}" if found.unit else ""
@@ -333,19 +333,19 @@ def _value(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str
     return f"{name} = {found.value:.4g}{error}{unit}{before}{same}"
 
 
-def with_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
+def with_changed_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
     """The headline of a verdict with the changed values."""
-    said = judgement.headline
+    headline = judgement.headline
     if not values:
-        return said
+        return headline
     if judgement.verdict == "adequate" and residual_is_noise:
         return (
             "No effect is missing, but fixed values in the vehicle file do not fit the logs. With these "
             f"values, only sensor noise remains: {values}."
         )
     if residual_is_noise and judgement.effects:
-        return f"{said} In addition, fixed values in the vehicle file do not fit the logs: {values}."
-    return f"{said} Fixed values in the vehicle file were fitted as well: {values}."
+        return f"{headline} In addition, fixed values in the vehicle file do not fit the logs: {values}."
+    return f"{headline} Fixed values in the vehicle file were fitted as well: {values}."
 
 
 def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) -> list[Equivalent]:
@@ -353,14 +353,14 @@ def equivalents(stated: Vehicle, bench: Bench, possible: Sequence[Candidate]) ->
     moved = moved_parameters(stated, bench.base, bench.settings)
     if not moved:
         return []
-    found = [c.id for c in possible if c.parameters and _brings_back(c, bench, moved)]
+    found = [c.id for c in possible if c.parameters and _restores_stated_values(c, bench, moved)]
     if not found:
         return []
-    words = {"reason": _equivalents_reason(moved), "separated_by": _separating(list(moved))}
+    words = {"reason": _equivalents_reason(moved), "separated_by": _separated_by(list(moved))}
     return [Equivalent(parameters=list(moved), effects=found, **words)]
 
 
-def instead_of_effects(
+def values_instead_of_effects(
     effect_set: EffectSet, vehicle: Vehicle, bench: Bench, residual_is_noise: IsNoise
 ) -> list[Equivalent]:
     """Other values of fixed parameters that leave as small a residual as one of the named effects."""
@@ -368,11 +368,11 @@ def instead_of_effects(
     for finding in effect_set.findings:
         others = [f for f in effect_set.findings if f is not finding]
         without = replace(bench, base=fitted(vehicle, others, bench).fit) if others else bench
-        found += _instead_of(finding.id, without, residual_is_noise)
+        found += _other_values_instead_of(finding.id, without, residual_is_noise)
     return found
 
 
-def _instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[Equivalent]:
+def _other_values_instead_of(effect: str, bench: Bench, residual_is_noise: IsNoise) -> list[Equivalent]:
     found = other_values(bench)
     if found is None or not residual_is_noise(found.fit, bench.test):
         return []
@@ -396,7 +396,7 @@ def moved_parameters(stated: Vehicle, fit: WeakFit, settings: Settings = DEFAULT
     return changes
 
 
-def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> bool:
+def _restores_stated_values(candidate: Candidate, bench: Bench, moved: dict[str, float]) -> bool:
     """Whether the effect explains the data as well, with the moved parameters near their stated values.
 
     Values are stated only to within their standard deviations, and the effect need not be exactly equivalent
@@ -409,9 +409,9 @@ def _brings_back(candidate: Candidate, bench: Bench, moved: dict[str, float]) ->
     bounds = within_limits(bounds_of(model), now, step_limits(model))
     step = bounded_step(start.at, now, bounds, (centre, stiffness))
     off = np.abs(stiffness * (now + step - centre))
-    home = all(off[model.free.index(n)] < bench.settings.near_prior for n in moved)
+    near_stated = all(off[model.free.index(n)] < bench.settings.near_prior for n in moved)
     left = np.sum((start.at.r + start.at.J @ step) ** 2)
-    return bool(home and left < np.sum(bench.base.at.r**2) + bench.settings.more_than_chance)
+    return bool(near_stated and left < np.sum(bench.base.at.r**2) + bench.settings.more_than_chance)
 
 
 def _equivalents_reason(moved: dict[str, float]) -> str:
@@ -423,7 +423,7 @@ def _equivalents_reason(moved: dict[str, float]) -> str:
     )
 
 
-def _separating(moved: list[str]) -> str:
+def _separated_by(moved: list[str]) -> str:
     return (
         f"No manoeuvre tells them apart: determine {listed(moved)} by other means (weighing, a tank test, "
         "CFD), more precisely than the stated standard deviations"
@@ -436,7 +436,7 @@ _ON_BOUND = 1e-6
 
 
 @dataclass(frozen=True)
-class Relief:
+class ImprovedModel:
     """The model with added effects that significantly reduce the validation error.
 
     effects: ids of the effects.
@@ -455,7 +455,7 @@ class Relief:
 
 
 @dataclass(frozen=True)
-class _Pushed:
+class _ShiftedParameter:
     """A parameter far from its stated value, in combined standard deviations of prior and fit."""
 
     name: str
@@ -469,35 +469,35 @@ class _Pushed:
         return self.value - self.prior
 
 
-def reliefs(findings: Iterable[FoundEffect]) -> list[Relief]:
+def improved_models(findings: Iterable[FoundEffect]) -> list[ImprovedModel]:
     """Changes of the parameters by candidates of a ranking; only significant ones count."""
     found = (f for f in findings if f.significant)
-    return [Relief((f.id,), f.trial.fit.values, f.trial.score.error) for f in found]
+    return [ImprovedModel((f.id,), f.trial.fit.values, f.trial.score.error) for f in found]
 
 
-def absorbing(
+def compensation_warnings(
     vehicle: Vehicle,
     fit: Fitted,
-    helpers: Sequence[Relief],
+    improved: Sequence[ImprovedModel],
     alike: Mapping[str, Sequence[str]] | None = None,
     settings: Settings = DEFAULT,
 ) -> list[str]:
     """Warnings for parameters that a fit moved far from their stated values, or to impossible ones."""
-    least = min((h.error for h in helpers), default=0.0)
-    leading = [h for h in helpers if h.error <= settings.warning_error_ratio * least]
+    least = min((h.error for h in improved), default=0.0)
+    leading = [h for h in improved if h.error <= settings.warning_error_ratio * least]
     lines = [
-        _line(
+        _warning(
             vehicle,
-            pushed,
-            [h for h in leading if _comes_back(pushed, h, settings)],
-            (alike or {}).get(pushed.name, ()),
+            shifted,
+            [h for h in leading if _returns(shifted, h, settings)],
+            (alike or {}).get(shifted.name, ()),
         )
-        for pushed in _pushed(vehicle, fit, settings)
+        for shifted in _shifted_parameters(vehicle, fit, settings)
     ]
     return [*lines, *_impossible(vehicle, fit.vehicle)]
 
 
-def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
+def _shifted_parameters(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_ShiftedParameter]:
     errors, found = fit.standard_errors, []
     for name in fit.model.values.names:
         value = fit.values[name]
@@ -505,17 +505,17 @@ def _pushed(vehicle: Vehicle, fit: Fitted, settings: Settings) -> list[_Pushed]:
         if (
             stated.sigma is None
             and bound is None
-            and not _many_times(value, stated.value, settings.far_factor)
+            and not _far_by_factor(value, stated.value, settings.far_factor)
         ):
             continue
         spread = float(np.hypot(stated.sigma or 0.0, errors[name]))
         distance = abs(value - stated.value) / spread if spread > 0 else np.inf
         if distance > settings.far_from_prior:
-            found.append(_Pushed(name, value, stated.value, distance, bound))
+            found.append(_ShiftedParameter(name, value, stated.value, distance, bound))
     return found
 
 
-def _many_times(value: float, stated: float, factor: float) -> bool:
+def _far_by_factor(value: float, stated: float, factor: float) -> bool:
     ratio = value / stated if stated else 1.0
     return not 1.0 / factor < ratio < factor
 
@@ -528,51 +528,53 @@ def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
 
 
 # --- words ------------------------------------------------------------------------------------
-def _line(vehicle: Vehicle, pushed: _Pushed, helping: Sequence[Relief], alike: Sequence[str]) -> str:
-    bare = vehicle.declaration(pushed.name).name
-    owner = next(e.id for e in vehicle.all_effects if any(p.name == bare for p in e.parameters))
-    line = f"{owner.replace('_', ' ')}: {pushed.name} {_where(vehicle, pushed)}"
-    if not helping:
+def _warning(
+    vehicle: Vehicle, shifted: _ShiftedParameter, restoring: Sequence[ImprovedModel], alike: Sequence[str]
+) -> str:
+    base_name = vehicle.declaration(shifted.name).name
+    owner = next(e.id for e in vehicle.all_effects if any(p.name == base_name for p in e.parameters))
+    line = f"{owner.replace('_', ' ')}: {shifted.name} {_shift_in_words(vehicle, shifted)}"
+    if not restoring:
         missing = " or ".join(alike) or "something that is missing"
         return f"{line}: either the prior is wrong, or it compensates for {missing}"
-    best, after = helping[0].name, helping[0].values[pushed.name]
-    others = [h.name for h in helping[1:] if not {*helping[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
+    best, after = restoring[0].name, restoring[0].values[shifted.name]
+    others = [h.name for h in restoring[1:] if not {*restoring[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
     back = (
-        f"{after / pushed.prior:.3g} times its prior"
-        if pushed.prior
-        else _number(vehicle, pushed.name, after)
+        f"{after / shifted.prior:.3g} times its prior"
+        if shifted.prior
+        else _printed(vehicle, shifted.name, after)
     )
     return f"{line}: it is absorbing {' or '.join([best, *others])}; with {best} it returns to {back}"
 
 
-def _where(vehicle: Vehicle, pushed: _Pushed) -> str:
-    far = f"{pushed.distance:.1f} standard deviations"
-    prior = _number(vehicle, pushed.name, pushed.prior)
-    if pushed.bound is not None:
-        return f"is at its bound {_number(vehicle, pushed.name, pushed.bound)}, {far} from {prior}"
-    if pushed.prior and vehicle.value_of(pushed.name).sigma is None:
+def _shift_in_words(vehicle: Vehicle, shifted: _ShiftedParameter) -> str:
+    far = f"{shifted.distance:.1f} standard deviations"
+    prior = _printed(vehicle, shifted.name, shifted.prior)
+    if shifted.bound is not None:
+        return f"is at its bound {_printed(vehicle, shifted.name, shifted.bound)}, {far} from {prior}"
+    if shifted.prior and vehicle.value_of(shifted.name).sigma is None:
         return (
-            f"is {pushed.value / pushed.prior:.3g} times its stated value (no standard deviation is stated)"
+            f"is {shifted.value / shifted.prior:.3g} times its stated value (no standard deviation is stated)"
         )
-    if pushed.prior:
-        return f"is {pushed.value / pushed.prior:.3g} times its prior ({far})"
-    return f"is {_number(vehicle, pushed.name, pushed.value)} with a prior of 0 ({far})"
+    if shifted.prior:
+        return f"is {shifted.value / shifted.prior:.3g} times its prior ({far})"
+    return f"is {_printed(vehicle, shifted.name, shifted.value)} with a prior of 0 ({far})"
 
 
-def _number(vehicle: Vehicle, name: str, value: float) -> str:
+def _printed(vehicle: Vehicle, name: str, value: float) -> str:
     """A value in the sign convention of the vehicle file."""
     return f"{printed(vehicle.declaration(name), value, vehicle.signs):.3g}"
 
 
-def _comes_back(pushed: _Pushed, helper: Relief, settings: Settings) -> bool:
-    after = helper.values.get(pushed.name)
-    if after is None or abs(after - pushed.prior) >= settings.return_share * abs(pushed.change):
+def _returns(shifted: _ShiftedParameter, helper: ImprovedModel, settings: Settings) -> bool:
+    after = helper.values.get(shifted.name)
+    if after is None or abs(after - shifted.prior) >= settings.return_share * abs(shifted.change):
         return False
-    # From ten times its prior to a tenth or to nothing is not the way back.
-    return not pushed.prior or _times_off(after, pushed.prior) < _times_off(pushed.value, pushed.prior)
+    # From ten times the prior to a tenth of it, or to zero, is no return.
+    return not shifted.prior or _factor_off(after, shifted.prior) < _factor_off(shifted.value, shifted.prior)
 
 
-def _times_off(value: float, prior: float) -> float:
+def _factor_off(value: float, prior: float) -> float:
     """Factor by which a value is larger or smaller than its prior; infinite if its sign differs."""
     ratio = value / prior
     return max(ratio, 1.0 / ratio) if ratio > 0.0 else inf
@@ -580,13 +582,13 @@ def _times_off(value: float, prior: float) -> float:
 
 def _impossible(stated: Vehicle, fitted: Vehicle) -> list[str]:
     """Impossible properties of the fitted vehicle, such as a mass matrix that is not positive definite."""
-    complaint = _complaint(fitted)
+    problem = _implausibility(fitted)
     return (
-        [f"the refitted vehicle is impossible: {complaint}"] if complaint and not _complaint(stated) else []
+        [f"the refitted vehicle is impossible: {problem}"] if problem and not _implausibility(stated) else []
     )
 
 
-def _complaint(vehicle: Vehicle) -> str:
+def _implausibility(vehicle: Vehicle) -> str:
     try:
         check_vehicle(vehicle)
     except UndertowError as error:

@@ -497,8 +497,8 @@ class WeakData:
         return tuple(self.names[i] for i in self.derived)
 
     @property
-    def unchecked_names(self) -> tuple[str, ...]:
-        """Velocities beside which no pose was measured."""
+    def names_without_pose(self) -> tuple[str, ...]:
+        """Velocities whose pose coordinate was not measured."""
         size = len(self.names) // 2
         pairs = zip(self.names[:size], self.names[size:], strict=True)
         return tuple(v for pose, v in pairs if not all(r.has(pose) for r in self.runs))

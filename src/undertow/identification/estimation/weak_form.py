@@ -151,20 +151,20 @@ def fit_weak(
     whitening: list[Whitening] | None = None,
     disturbance: Array | None = None,
     max_iterations: int = SETTINGS.most_steps,
-    enough: float = 0.0,
+    tolerance: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle, by default those that it marks with `estimate`.
 
     A `WeakModel` has its own free parameters and constraints. `start` has starting values that differ from
     the vehicle's; `whitening` and `disturbance` are the noise model, estimated from the residual of the fit
-    itself where not given. The search ends where the predicted reduction is less than `enough`, as a share of
-    the sum of squares.
+    itself where not given. The search ends where the predicted reduction is less than `tolerance`, as a
+    share of the sum of squares.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = model.started(start or {})
     if whitening is not None and disturbance is not None:
-        return _solved(model, p, data, whitening, disturbance, max_iterations, enough)
+        return _solved(model, p, data, whitening, disturbance, max_iterations, tolerance)
     model.require_defined(data, p)
     disturbance = first_guess(model, data, p)
     loud = with_process_noise(model.whitening(data, p), disturbance, data)
@@ -251,10 +251,10 @@ def start_fit(
     disturbance: Array,
     *,
     steps: int = 0,
-    enough: float = 0.0,
+    tolerance: float = 0.0,
 ) -> WeakFit:
     """A model at the start of a search, after a few steps if any, as long as one promises enough."""
-    return _solved(model, model.started(start), data, whitening, disturbance, steps, enough)
+    return _solved(model, model.started(start), data, whitening, disturbance, steps, tolerance)
 
 
 def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
@@ -272,7 +272,7 @@ def _solved(
     whitening: list[Whitening],
     disturbance: Array,
     max_iterations: int,
-    enough: float = 0.0,
+    tolerance: float = 0.0,
 ) -> WeakFit:
     """Gauss-Newton steps from p under a fixed noise model."""
     space = SearchSpace(model, limited=True)
@@ -282,7 +282,7 @@ def _solved(
     for _ in range(max_iterations):
         step, cost = space.step(at, p), space.cost(p, squared(at.r))
         predicted = space.predicted_cost(p, step, at.r + at.J @ step)
-        if cost - predicted < max(SETTINGS.least_reduction, enough * squared(at.r)):
+        if cost - predicted < max(SETTINGS.least_reduction, tolerance * squared(at.r)):
             break
         iteration += 1
         tried = (space.moved(p, share * step) for share in SETTINGS.shares)
@@ -474,14 +474,14 @@ def in_run(fit: Fitted, run: Run) -> tuple[Vehicle, Run]:
     return adapted(fit.vehicle, run)
 
 
-def learned_from(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> Flags:
+def used_in_estimation(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> Flags:
     """Which rows or windows, of these runs and at these times, a fit has learned values of the run from."""
     known = {run_of(name) for name in fit.model.values.known}
     ends = np.array([end_of_first_part(r) if r.origin in known else -np.inf for r in runs])
     return np.asarray(time < ends[run])
 
 
-def factor_of_the_rest(squares: Array, first: Flags, group: Index) -> Array:
+def estimation_part_factor(squares: Array, first: Flags, group: Index) -> Array:
     """Factor, at least 1, that raises squares in the part used for estimation to the level of the rest.
 
     squares: (m,) or (m, n), by row or window and quantity.

@@ -211,7 +211,7 @@ class RivalSpec:
         *others, last = parts_of(self.name)
         for effect in others:
             first = _checked(effect, vehicle, known)
-            vehicle = first.adopted({**neutral_values(first), **self.values})
+            vehicle = first.vehicle_with({**neutral_values(first), **self.values})
         return _checked(last, vehicle, known)
 
 
@@ -289,7 +289,7 @@ def _valued(
         found = {n: v for n, v in spec.values.items() if n in own}
         source = "diagnosis" if found else "typical size"
         values = {**neutral_values(candidate), **found} if found else typical_values(candidate, problem)
-        vehicle = candidate.adopted(values)
+        vehicle = candidate.vehicle_with(values)
     stated_values = {n: v for n, v in spec.values.items() if n in vehicle.values}
     return vehicle.with_values(
         {n: replace(vehicle.value_of(n), value=v) for n, v in stated_values.items()}

@@ -26,10 +26,10 @@ from undertow.identification.diagnosis.associations import (
     command_of,
     is_factor,
     label_of,
-    plain_of,
     step_time,
+    without_bars,
 )
-from undertow.identification.diagnosis.residual import COMPARED
+from undertow.identification.diagnosis.residual import COMPARED_BETWEEN_RUNS
 from undertow.identification.diagnosis.result import (
     BetweenRuns,
     Dependence,
@@ -232,7 +232,7 @@ def _periodic(spectrum: Spectrum, row: int, seconds: float) -> Iterator[Coeffici
 def _differing(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
     """A coefficient with a value in every run for each column that a force differs by between runs."""
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
-    for column in COMPARED.get(found.of, ()):
+    for column in COMPARED_BETWEEN_RUNS.get(found.of, ()):
         about = f"{what} per {label_of(column)}" if column else what
         unit = FORCE_UNITS[row]
         yield Coefficient(_name(FORCE[row], column), unit, f"{about}, by run", row, column, per_run=True)
@@ -381,7 +381,7 @@ def _variables(commands: list[str]) -> dict[str, str]:
 
 def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Iterator[tuple[str, str]]:
     """Names that the terms use, with what they stand for."""
-    names = {plain_of(m[3] if (m := WAVE.fullmatch(f)) else f) for t in terms for f in t.column}
+    names = {without_bars(m[3] if (m := WAVE.fullmatch(f)) else f) for t in terms for f in t.column}
     yield from ((n, f"s.nu_r[{i}]") for i, n in enumerate(VELOCITY) if n in names)
     yield from ((n, f"s.eta[{i}]") for i, n in enumerate(POSE) if n in names)
     for name, variable in variables.items():
@@ -406,5 +406,5 @@ def _factor(factor: str, variables: dict[str, str]) -> str:
     if wave:
         return f"sm.{wave[1]}({'2 * ' if wave[2] else ''}{wave[3]})"
     command = command_of(factor)
-    name = "s.t" if factor == "t" else plain_of(factor) if command is None else variables[command]
+    name = "s.t" if factor == "t" else without_bars(factor) if command is None else variables[command]
     return f"sm.Abs({name})" if factor.startswith("|") else name

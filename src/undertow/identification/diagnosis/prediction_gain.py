@@ -18,14 +18,16 @@ from .validation import SimulationValidator, worse_by_rank_test
 class Wording:
     """How changes of an error are put into words."""
 
-    runs_away: float = 10.0  # rise of an error, relative, above which its digits mean nothing
+    diverges: float = 10.0  # rise of an error, relative, above which its digits mean nothing
 
 
 WORDING = Wording()
+#: Mean squares of prediction errors by horizon, in s: (b, n) by window and channel.
+Squares = Mapping[float, Array]
 
 
 @dataclass(frozen=True)
-class Worth:
+class PredictionGain:
     """Change of predictions of the validation data by adding an effect.
 
     falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
@@ -41,7 +43,7 @@ class Worth:
     better: tuple[float, float] = (1.0, 0.0)
 
     @property
-    def gain(self) -> float:
+    def log_fall(self) -> float:
         """Mean fall of the logarithm of the error over all horizons: successive gains add up."""
         left = np.maximum(1.0 - np.array([*self.falls.values()]), 1e-12)
         return -float(np.mean(np.log(left)))
@@ -52,9 +54,7 @@ class Worth:
         return {f"{h:g} s": fall for h, fall in self.falls.items()}
 
     @classmethod
-    def of(
-        cls, before: Mapping[float, Array], after: Mapping[float, Array], settings: Settings = DEFAULT
-    ) -> Worth:
+    def of(cls, before: Squares, after: Squares, settings: Settings = DEFAULT) -> PredictionGain:
         """From mean squares by horizon, window and velocity, shape (b, n)."""
         falls, largest, worse = {}, {}, []
         for horizon in before:
@@ -65,71 +65,72 @@ class Worth:
             unit = np.maximum(np.mean(old, axis=0), 1e-300)
             if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
                 worse.append(horizon)
-        pairs = [[{h: before[h]}, {h: after[h]}] for h in longer(before)]
+        pairs = [[{h: before[h]}, {h: after[h]}] for h in long_horizons(before)]
         better = max(float(best_in_resamples(pair, settings)[1]) for pair in pairs)
         return cls(falls, largest, tuple(worse), (better, settings.best_share))
 
-    def enough(self, least: float) -> bool:
+    def suffices(self, least: float) -> bool:
         """Whether long predictions improve by enough to matter, and none become worse."""
-        lower = all(self.falls[h] >= 0.0 for h in longer(self.falls)) and not self.worse
-        return lower and max(self.largest[h] for h in longer(self.falls)) >= least and not self._by_chance
+        long = long_horizons(self.falls)
+        lower = all(self.falls[h] >= 0.0 for h in long) and not self.worse
+        return lower and max(self.largest[h] for h in long) >= least and not self._may_be_chance
 
     @property
-    def _by_chance(self) -> bool:
+    def _may_be_chance(self) -> bool:
         """Whether predictions may have improved by chance."""
         return self.better[0] < self.better[1]
 
-    def lacking(self, least: float) -> str:
+    def shortfall(self, least: float) -> str:
         """Why it does not improve predictions enough, in words; empty if it does."""
-        if self.enough(least):
+        if self.suffices(least):
             return ""
         if self.worse:
             over = " and ".join(f"{h:g} s" for h in self.worse)
             return f"makes predictions over {over} worse"
-        longest = longer(self.falls)[-1]
-        raised = next((h for h in reversed(longer(self.falls)) if self.falls[h] < 0.0), None)
-        if raised is not None:
-            much = -self.falls[raised]
-            if much > WORDING.runs_away:
-                return f"makes predictions over {raised:g} s diverge"
+        longest = long_horizons(self.falls)[-1]
+        worse_horizon = next((h for h in reversed(long_horizons(self.falls)) if self.falls[h] < 0.0), None)
+        if worse_horizon is not None:
+            much = -self.falls[worse_horizon]
+            if much > WORDING.diverges:
+                return f"makes predictions over {worse_horizon:g} s diverge"
             words = f"{much:.0%}" if much > 0.005 else "a little"
-            return f"increases the prediction error over {raised:g} s by {words}"
-        if max(self.largest[h] for h in longer(self.falls)) >= least:
+            return f"increases the prediction error over {worse_horizon:g} s by {words}"
+        if max(self.largest[h] for h in long_horizons(self.falls)) >= least:
             return f"reduces the prediction error in only {self.better[0]:.0%} of the resamples"
-        gained = max(self.largest[longest], 0.0)
-        return f"reduces the error of no velocity over {longest:g} s by {least:.0%} ({gained:.0%} at most)"
+        largest = max(self.largest[longest], 0.0)
+        return f"reduces the error of no velocity over {longest:g} s by {least:.0%} ({largest:.0%} at most)"
 
     def harms(self, least: float) -> bool:
         """Whether predictions over any horizon become worse, significantly or by enough to matter."""
         return bool(self.worse) or min(self.falls.values()) < -least
 
-    def something(self, least: float) -> bool:
+    def helps(self, least: float) -> bool:
         """Whether predictions over any horizon improve by enough to matter."""
         return max(self.largest.values()) >= least
 
 
-def explained_motions(before: Mapping[float, Array], after: Mapping[float, Array], least: float) -> list[int]:
+def improved_velocities(before: Squares, after: Squares, least: float) -> list[int]:
     """Indices of the velocities whose long predictions improve by enough to matter.
 
-    before, after: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    before, after: mean squares by horizon, window and velocity, (b, n), as of `PredictionGain.of`.
     """
     falls = []
-    for horizon in longer(before):
+    for horizon in long_horizons(before):
         old, new = (np.mean(squares[horizon], axis=0) for squares in (before, after))
         falls.append(1.0 - np.sqrt(new / np.maximum(old, 1e-300)))
     return [int(k) for k in np.flatnonzero(np.max(falls, axis=0) >= least)]
 
 
-def longer(horizons: Iterable[float]) -> list[float]:
+def long_horizons(horizons: Iterable[float]) -> list[float]:
     """Horizons except the shortest; for runs as short as that, the only one."""
     found = sorted(horizons)
     return found[1:] or found
 
 
-def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Settings = DEFAULT) -> Array:
+def best_in_resamples(candidates: Sequence[Squares], settings: Settings = DEFAULT) -> Array:
     """How often each model predicts best when the windows are resampled, shape (len(candidates),).
 
-    candidates: mean squares by horizon, window and velocity, (b, n), as of `Worth.of`.
+    candidates: mean squares by horizon, window and velocity, (b, n), as of `PredictionGain.of`.
     """
     rng = np.random.default_rng(settings.seed)
     total = np.zeros((settings.resamples, len(candidates)))
@@ -141,15 +142,15 @@ def best_in_resamples(candidates: Sequence[Mapping[float, Array]], settings: Set
     return np.bincount(np.argmin(total, axis=1), minlength=len(candidates)) / settings.resamples
 
 
-def error_ahead(squares: Mapping[float, Array]) -> float:
+def error_ahead(squares: Squares) -> float:
     """Error of predictions over all horizons and velocities, on a logarithmic scale."""
     means = [np.mean(each, axis=0) for each in squares.values()]
     return float(np.mean(np.log(np.maximum(means, 1e-12))))
 
 
-def compared(
-    squares: Mapping[float, Array], findings: Sequence[FoundEffect], validator: SimulationValidator
-) -> Mapping[float, Array]:
+def compared_channels(
+    squares: Squares, findings: Sequence[FoundEffect], validator: SimulationValidator
+) -> Squares:
     """Squares of the channels by which effects are compared: those of the velocities.
 
     A sensor error may show only as a contradiction between pose and velocity: if a measurement effect is
@@ -160,12 +161,9 @@ def compared(
     return squares if any(f.of_sensors for f in findings) else validator.velocities(squares)
 
 
-def gained(
-    before: Mapping[float, Array],
-    after: Mapping[float, Array],
-    findings: Sequence[FoundEffect],
-    validator: SimulationValidator,
-) -> Worth:
+def gain_of_effects(
+    before: Squares, after: Squares, findings: Sequence[FoundEffect], validator: SimulationValidator
+) -> PredictionGain:
     """Improvement by effects, from the squares without and with them."""
-    without, with_them = (compared(s, findings, validator) for s in (before, after))
-    return Worth.of(without, with_them, validator.settings)
+    without, with_them = (compared_channels(s, findings, validator) for s in (before, after))
+    return PredictionGain.of(without, with_them, validator.settings)

@@ -27,22 +27,22 @@ from undertow.identification.logs.run import ACCELERATION
 from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
 
-from .associations import WAVE, Along, Clock, Column, command_of, plain_of, terms_of
-from .force_rows import ForceRow, ForceRows, sliding, tested
+from .associations import WAVE, Clock, Column, Trajectory, command_of, terms_of, without_bars
+from .force_rows import ForceRow, ForceRows, sliding_sums, weak_integrals
 from .parallel import one_thread
 from .residual import measured_pose
 from .result import Predictability
 
 
 @dataclass(frozen=True)
-class ReferenceSettings:
-    """Settings of the reference, chosen on simulated vehicles for computing time and false alarms."""
+class PredictabilitySettings:
+    """Settings of the estimate, chosen on simulated vehicles for computing time and false alarms."""
 
-    # Test functions that are averaged over, and the mean square over that of noise from which it is enough.
+    # Numbers of test functions to average over, and the mean square over that of noise that suffices.
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)
-    stands_out: float = 2.0
-    # Time constants of the lags through which commands are seen as well, in distances of test functions. What
-    # the velocities were before, beside what they are, would show the acceleration, and so any disturbance.
+    detectable_ratio: float = 2.0
+    # Time constants of the lags by which commands are filtered as well, in distances of test functions. Past
+    # velocities together with present ones would give the acceleration, and so any disturbance.
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
     folds: int = 5  # segments of the training data, each of which is predicted from the others
     # Weights of the squared coefficients of standardised columns, per row of data.
@@ -53,15 +53,15 @@ class ReferenceSettings:
     leaves: int = 6
     fewest_in_leaf: int = 20
     learning_rate: float = 0.1
-    most_rows: int = 5000  # rows that are learned from; of longer logs every second, third, ... is
+    most_rows: int = 5000  # largest number of rows for training; longer logs are decimated
     level: float = 0.95  # of the intervals
-    least_share: float = 0.05  # predicted share below which nothing is worth a name
+    least_share: float = 0.05  # predicted share from which the prediction is reported
     # End of the interval up to which nothing is missing that the signals could show: without that share of
-    # the mean square the error would be a tenth less, which is what an effect has to be worth.
-    most_hidden: float = 0.19
+    # the mean square the error would be a tenth less, which is the gain required of an effect.
+    largest_undetected: float = 0.19
 
 
-SETTINGS = ReferenceSettings()
+SETTINGS = PredictabilitySettings()
 _Fold = tuple[Flags, Index]  # rows to learn from, and those that are held out
 _LAGGED = re.compile(r" filtered over .* s$")
 
@@ -69,20 +69,17 @@ _LAGGED = re.compile(r" filtered over .* s$")
 def variable_of(factor: str) -> str:
     """The logged signal in a factor: ``psi`` of ``sin(2 psi)``, ``port`` of ``|command port|``."""
     wave = WAVE.fullmatch(factor)
-    return wave[3] if wave else command_of(factor) or _LAGGED.sub("", plain_of(factor))
+    return wave[3] if wave else command_of(factor) or _LAGGED.sub("", without_bars(factor))
 
 
 def predictable(
-    fit: Fitted,
-    train: WeakData,
-    test: WeakData,
-    variables: Sequence[str] | None = None,
+    fit: Fitted, train: WeakData, test: WeakData, variables: Sequence[str] | None = None
 ) -> list[Predictability]:
     """How much of the residual force of every degree of freedom depends on the logged signals.
 
     Ridge regressions on the signals and their products, and boosted trees on their residual, as far as they
-    predict held-out segments of the training data; scored on the validation data. A part that other values of
-    the model's own parameters would predict as well does not count.
+    predict held-out segments of the training data; scored on the validation data. The part that other values
+    of the model parameters would predict as well does not count.
 
     Parameters
     ----------
@@ -105,33 +102,26 @@ def predictable(
 
 
 def _forces(
-    fit: Fitted,
-    train: WeakData,
-    test: WeakData,
-    variables: Sequence[str] | None,
+    fit: Fitted, train: WeakData, test: WeakData, variables: Sequence[str] | None
 ) -> tuple[list[_Force], Array]:
     """The residual force of every degree of freedom, and the best common change of the parameters."""
     logs = _logs(fit, train, test)
     signals = _Signals.common(logs, variables)
     forces = [_Force(logs, signals, i) for i in range(len(logs[0].vehicle.dof_indices))]
-    return forces, _other_values(fit, [force.learned for force in forces])
+    return forces, _parameter_change(fit, [force.training for force in forces])
 
 
-def is_disturbance(found: Sequence[Predictability], noisy: Container[str]) -> bool:
+def is_disturbance(found: Sequence[Predictability], noise_only: Container[str]) -> bool:
     """Whether the signals predict nothing, and these logs are long enough to say so.
 
-    noisy: degrees of freedom whose residual is sensor noise: nothing can be hidden there.
+    noise_only: degrees of freedom whose residual is sensor noise: nothing can be hidden there.
     """
-    hidden = (p for p in found if p.interval[1] > SETTINGS.most_hidden)
-    return not any(p.significant for p in found) and all(p.degree_of_freedom in noisy for p in hidden)
+    hidden = (p for p in found if p.interval[1] > SETTINGS.largest_undetected)
+    return not any(p.significant for p in found) and all(p.degree_of_freedom in noise_only for p in hidden)
 
 
-def captured(
-    base: Fitted,
-    fit: Fitted,
-    train: WeakData,
-    test: WeakData,
-    variables: Sequence[str],
+def share_of_predictable(
+    base: Fitted, fit: Fitted, train: WeakData, test: WeakData, variables: Sequence[str]
 ) -> float:
     """Fraction explained by an effect of what a flexible function of some variables explains.
 
@@ -151,8 +141,8 @@ def captured(
     with _one_thread():
         forces, change = _forces(fit, train, test, variables)
         without = ForceRows(base, test)
-        before = np.array([force.square_of(without) for force in forces])
-        after = np.array([force.judged.square for force in forces])
+        before = np.array([force.mean_square_of(without) for force in forces])
+        after = np.array([force.validation.mean_square for force in forces])
         lost = np.array([force.share(change).interval[0] for force in forces]) * after
     gained = np.maximum(before - after, 0.0)
     if not gained.any():
@@ -175,7 +165,7 @@ class _Signals:
     """Columns to learn from, and subsets of them; the first are the individual signals."""
 
     columns: list[Column]
-    choices: tuple[Index, ...]
+    subsets: tuple[Index, ...]
 
     @classmethod
     def common(cls, logs: Sequence[_Log], variables: Sequence[str] | None) -> _Signals:
@@ -194,8 +184,8 @@ class _Signals:
         allowed = set(variables) if variables is not None else None
         kept = [c for c in dict.fromkeys(columns) if _uses(c, allowed)]
         smaller = {*kept} - {*through_water}
-        choices = ([_is_single(c) for c in kept], [c in smaller for c in kept], [True] * len(kept))
-        return cls(kept, tuple(np.flatnonzero(c) for c in choices))
+        subsets = ([_is_single(c) for c in kept], [c in smaller for c in kept], [True] * len(kept))
+        return cls(kept, tuple(np.flatnonzero(c) for c in subsets))
 
 
 def _angles(names: Sequence[str]) -> list[Column]:
@@ -237,26 +227,29 @@ class _Log:
         """Columns averaged like the forces, (K - width + 1, q) in every segment."""
         if width not in self._tables:
             self._tables[width] = [
-                (sliding(s.functions.count, width) @ tested(s, self._with_lags(s, along), signals.columns))
-                for s, along, _ in self.rows.along
+                (
+                    sliding_sums(s.functions.count, width)
+                    @ weak_integrals(s, self._with_lags(s, trajectory), signals.columns)
+                )
+                for s, trajectory, _ in self.rows.trajectories
             ]
         return self._tables[width]
 
-    def _with_lags(self, s: Segment, along: Along) -> Along:
+    def _with_lags(self, s: Segment, trajectory: Trajectory) -> Trajectory:
         """The signals with the further ones, and with the lagged commands."""
         run = self.rows.data.runs[s.run]
-        values = along.values | {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
+        values = trajectory.values | {n: without_gaps(run.matrix([n]))[s.samples, 0] for n in self.further}
         step = float(np.median(np.diff(s.t)))
-        for name, command in along.commands.items():
+        for name, command in trajectory.commands.items():
             values |= {_lagged(name, lag): _filtered(command, step / lag) for lag in self.lags}
-        return Along(values, along.commands)
+        return Trajectory(values, trajectory.commands)
 
 
 def _logs(fit: Fitted, train: WeakData, test: WeakData) -> list[_Log]:
     """Training and validation data, with the same lags whatever their sampling."""
-    learned, judged = (_Log(fit, data) for data in (train, test))
-    judged.lags = learned.lags
-    return [learned, judged]
+    training, validation = (_Log(fit, data) for data in (train, test))
+    validation.lags = training.lags
+    return [training, validation]
 
 
 def _filtered(signal: Array, rate: float) -> Array:
@@ -275,11 +268,11 @@ class _Table:
     noise: float  # mean square that the sensors give to it
     inertia: Array  # (K,) mass times acceleration
     signals: Array  # (K, q)
-    own: Array  # (K, n_free) derivative in the parameters of the model
+    J: Array  # (K, n_free) derivative in the parameters of the model
     row: Index  # (K,) place of the middle among the rows of the data
 
     @property
-    def square(self) -> float:
+    def mean_square(self) -> float:
         return float(np.mean(self.force**2)) if len(self.force) else 0.0
 
 
@@ -297,13 +290,13 @@ class _Force:
     def __init__(self, logs: Sequence[_Log], signals: _Signals, dof: int) -> None:
         self._logs, self._signals, self._dof = logs, signals, dof
         self._rows = [log.rows.row(dof) for log in logs]
-        self._width = self._enough()
+        self._width = self._averaging_width()
 
-    def _enough(self) -> int:
-        """Number of test functions to average over, so that the force exceeds the noise."""
+    def _averaging_width(self) -> int:
+        """Number of test functions to average over, from which the force exceeds the noise."""
         for width in SETTINGS.widths:
             force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
-            if not len(force) or np.mean(force**2) > SETTINGS.stands_out * np.mean(variance):
+            if not len(force) or np.mean(force**2) > SETTINGS.detectable_ratio * np.mean(variance):
                 break
         return width
 
@@ -311,73 +304,73 @@ class _Force:
         width, weight = self._width, row.weight * self._width
         parts, first = [], 0
         tables = (
-            log.rows.along,
+            log.rows.trajectories,
             row.parts,
             row.averaged(width),
             log.table(self._signals, width),
             log.rows.mass,
         )
         for (s, _, _), part, (force, noise), signals, mass in zip(*tables, strict=True):
-            groups = sliding(len(mass), width) / weight
+            groups = sliding_sums(len(mass), width) / weight
             moved = np.sum(mass[:, self._dof] * -(s.functions.rate @ s.measured[:, mass.shape[1] :]), axis=1)
             place = first + width // 2 + np.arange(len(force))
             parts.append((-force, noise, groups @ moved, signals / weight, -(groups @ part.J), place))
             first += len(mass)
-        force, noise, inertia, signals, own, place = (np.concatenate(c) for c in zip(*parts, strict=True))
-        return _Table(force, float(np.mean(noise)), inertia, signals, own, place)
+        force, noise, inertia, signals, J, place = (np.concatenate(c) for c in zip(*parts, strict=True))
+        return _Table(force, float(np.mean(noise)), inertia, signals, J, place)
 
-    def square_of(self, rows: ForceRows) -> float:
+    def mean_square_of(self, rows: ForceRows) -> float:
         """Mean square of another model's residual, averaged over the same time as this one's."""
         parts = [force for force, _ in rows.row(self._dof).averaged(self._width)]
         return float(np.mean(np.concatenate(parts) ** 2))
 
     @cached_property
-    def learned(self) -> _Table:
+    def training(self) -> _Table:
         """The residual force on the training data."""
         return self._table(self._logs[0], self._rows[0])
 
     @cached_property
-    def judged(self) -> _Table:
+    def validation(self) -> _Table:
         """The residual force on the validation data."""
         return self._table(self._logs[1], self._rows[1])
 
     @cached_property
     def _predict(self) -> Callable[[Array], Array]:
-        learner = Learner(self._signals.choices, self._width)
-        return learner.learned(self.learned)
+        learner = Learner(self._signals.subsets, self._width)
+        return learner.fit(self.training)
 
     def share(self, change: Array) -> _Share:
         """Share that can be predicted in addition to a change (n_free,) of the parameters."""
-        judged = self.judged
-        other_values = judged.force - judged.own @ change
-        before = min(judged.force, other_values, key=lambda force: float(np.sum(force**2)))
-        return self._share(before, judged.force - self._predict(judged.signals))
+        validation = self.validation
+        refitted = validation.force - validation.J @ change
+        before = min(validation.force, refitted, key=lambda force: float(np.sum(force**2)))
+        return self._share(before, validation.force - self._predict(validation.signals))
 
     def result(self, change: Array) -> Predictability:
         """What can be predicted on the validation data, in addition to a change (n_free,) of parameters."""
-        judged, (share, interval, left) = self.judged, self.share(change)
-        square = max(judged.square, 1e-300)
+        validation, (share, interval, left) = self.validation, self.share(change)
+        mean_square = max(validation.mean_square, 1e-300)
         vehicle = self._logs[0].vehicle
         significant = interval[0] > 0.0 and share > SETTINGS.least_share
-        reached = max(interval[1], detectable_share(self._learned_blocks))
+        reached = max(interval[1], detectable_share(self._training_blocks))
         return Predictability(
             degree_of_freedom=vehicle.degrees_of_freedom[self._dof],
             unit=FORCE_UNITS[vehicle.dof_indices[self._dof]],
             averaged_over=self._width * self._logs[1].clock.step,
-            residual_rms=float(np.sqrt(judged.square)),
+            residual_rms=float(np.sqrt(validation.mean_square)),
             share=share,
             interval=(interval[0], reached),
             significant=significant,
-            noise_share=min(judged.noise / square, 1.0),
-            disturbance_rms=float(np.sqrt(max(left - judged.noise, 0.0))),
-            relative_to_inertia=square / max(float(np.mean(judged.inertia**2)), 1e-300),
-            variables=self._needed() if significant else {},
+            noise_share=min(validation.noise / mean_square, 1.0),
+            disturbance_rms=float(np.sqrt(max(left - validation.noise, 0.0))),
+            relative_to_inertia=mean_square / max(float(np.mean(validation.inertia**2)), 1e-300),
+            variables=self._variable_importance() if significant else {},
         )
 
     def _share(self, before: Array, after: Array) -> _Share:
         """Share of the mean square that is predicted, with its interval from independent blocks."""
-        judged, number = self.judged, _blocks(self.judged, self._logs[1])
-        whole, fall = (np.bincount(number, a) for a in (judged.force**2, before**2 - after**2))
+        validation, number = self.validation, _blocks(self.validation, self._logs[1])
+        whole, fall = (np.bincount(number, a) for a in (validation.force**2, before**2 - after**2))
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
         share = float(np.sum(fall)) / total
         error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
@@ -387,22 +380,22 @@ class _Force:
         return _Share(middle, (low, high), left)
 
     @property
-    def _learned_blocks(self) -> int:
-        return 1 + int(_blocks(self.learned, self._logs[0]).max(initial=-1))
+    def _training_blocks(self) -> int:
+        return 1 + int(_blocks(self.training, self._logs[0]).max(initial=-1))
 
-    def _needed(self) -> dict[str, float]:
-        """Share of the mean square that is lost if a signal is taken from another instant."""
-        judged, predict = self.judged, self._predict
-        other = np.random.default_rng(0).permutation(len(judged.force))
-        without = np.mean((judged.force - predict(judged.signals)) ** 2)
+    def _variable_importance(self) -> dict[str, float]:
+        """Permutation importance: share of the mean square that is lost if a signal is permuted in time."""
+        validation, predict = self.validation, self._predict
+        permuted = np.random.default_rng(0).permutation(len(validation.force))
+        without = np.mean((validation.force - predict(validation.signals)) ** 2)
         used = [{variable_of(f) for f in c} for c in self._signals.columns]
         found = {}
         for name in sorted(set().union(*used)):
-            mixed = judged.signals.copy()
-            of_it = np.array([name in names for names in used])
-            mixed[:, of_it] = mixed[other][:, of_it]
-            lost = np.mean((judged.force - predict(mixed)) ** 2) - without
-            found[name] = float(lost / judged.square)
+            signals = validation.signals.copy()
+            chosen = np.array([name in names for names in used])
+            signals[:, chosen] = signals[permuted][:, chosen]
+            lost = np.mean((validation.force - predict(signals)) ** 2) - without
+            found[name] = float(lost / validation.mean_square)
         ordered = sorted(found.items(), key=lambda item: -item[1])
         return {name: lost for name, lost in ordered if lost > 0.01}
 
@@ -416,8 +409,8 @@ def _blocks(table: _Table, log: _Log) -> Index:
 def detectable_share(blocks: int) -> float:
     """Least share of a force that a signal has to explain for its correlation to be significant.
 
-    With fewer than three independent blocks of training data nothing is. A regression that learns nothing
-    from few of them does not show that there is nothing to learn.
+    It is one with fewer than three independent blocks of training data. A regression that finds nothing in
+    few of them does not show that there is nothing to find.
     """
     if blocks < 3:
         return 1.0
@@ -425,14 +418,14 @@ def detectable_share(blocks: int) -> float:
     return square / (square + blocks - 2)
 
 
-def _other_values(fit: Fitted, tables: Sequence[_Table]) -> Array:
+def _parameter_change(fit: Fitted, tables: Sequence[_Table]) -> Array:
     """Change of the model's parameters, (n_free,), that fits the training data best in all equations.
 
     Each is weighted by its residual, so that none is ignored; priors apply.
     """
     centre, weight = search_prior(fit.model)
-    scale = [1.0 / max(np.sqrt(table.square), 1e-300) for table in tables]
-    rows = [table.own * s for table, s in zip(tables, scale, strict=True)]
+    scale = [1.0 / max(np.sqrt(table.mean_square), 1e-300) for table in tables]
+    rows = [table.J * s for table, s in zip(tables, scale, strict=True)]
     wanted = [table.force * s for table, s in zip(tables, scale, strict=True)]
     stacked = np.vstack([*rows, np.diag(weight)])
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
@@ -447,11 +440,11 @@ class Learner:
     held-out segments best (stacking; Breiman, Machine Learning 24, 1996, 49-64).
     """
 
-    def __init__(self, choices: Sequence[Index], width: int) -> None:
-        self._choices, self._gap = choices, width + 3
-        self._single = choices[0]
+    def __init__(self, subsets: Sequence[Index], width: int) -> None:
+        self._choices, self._gap = subsets, width + 3
+        self._single = subsets[0]
 
-    def learned(self, table: _Table) -> Callable[[Array], Array]:
+    def fit(self, table: _Table) -> Callable[[Array], Array]:
         """Function from signals (K, q) to the force (K,)."""
         step = -(-len(table.force) // SETTINGS.most_rows)
         y, X = table.force[::step], table.signals[::step]
@@ -460,46 +453,46 @@ class Learner:
             return lambda signals: np.full(len(signals), mean)
         folds = [*self._folds(len(y), -(-self._gap // step))]
         found = [self._ridge(X[:, columns], y, folds) for columns in self._choices]
-        # By segment that is held out, what the regressions without it say of all rows.
-        said = np.array([each for _, each in found])
-        held_out = np.column_stack([said[:, i, out] for i, (_, out) in enumerate(folds)]).T
+        # For every held-out segment, predictions of all rows by the regressions fitted without it.
+        predictions = np.array([each for _, each in found])
+        held_out = np.column_stack([predictions[:, i, out] for i, (_, out) in enumerate(folds)]).T
         weights = nnls(held_out, y)[0]
-        trees = self._trees(X, y - np.tensordot(weights, said, 1), folds)
+        trees = self._trees(X, y - np.tensordot(weights, predictions, 1), folds)
         regressions = [(w, ridge, c) for w, (ridge, _), c in zip(weights, found, self._choices, strict=True)]
 
-        def mixed(signals: Array) -> Array:
+        def combined(signals: Array) -> Array:
             return np.asarray(sum(w * ridge(signals[:, c]) for w, ridge, c in regressions))
 
         if not trees:
-            return mixed
-        boosted = self._boosted(X[:, self._single], y - mixed(X), trees)
-        return lambda signals: mixed(signals) + boosted.predict(signals[:, self._single])
+            return combined
+        boosted = self._boosted(X[:, self._single], y - combined(X), trees)
+        return lambda signals: combined(signals) + boosted.predict(signals[:, self._single])
 
     def _ridge(self, X: Array, y: Array, folds: Sequence[_Fold]) -> tuple[Callable[[Array], Array], Array]:
         """Ridge regression with the best penalty, and its out-of-fold predictions of all rows."""
         without = [Ridge(X[kept], y[kept]) for kept, _ in folds]
 
-        def left(penalty: float) -> float:
+        def held_out_error(penalty: float) -> float:
             """Sum of squared out-of-fold residuals with this penalty."""
             pairs = zip(without, folds, strict=True)
             return sum(float(np.sum((y[out] - r.predict(X[out], penalty)) ** 2)) for r, (_, out) in pairs)
 
-        penalty = min(SETTINGS.penalties, key=left)
+        penalty = min(SETTINGS.penalties, key=held_out_error)
         whole = Ridge(X, y)
         return lambda table: whole.predict(table, penalty), np.array([r.predict(X, penalty) for r in without])
 
-    def _trees(self, X: Array, left: Array, folds: Sequence[_Fold]) -> int:
+    def _trees(self, X: Array, residuals: Array, folds: Sequence[_Fold]) -> int:
         """Trees that predict held-out segments best, or none.
 
-        `left` (folds, K) is the residual of the regressions fitted without the fold.
+        `residuals` (folds, K) are those of the regressions fitted without the fold.
         """
-        square = np.zeros(SETTINGS.trees + 1)
-        for y, (kept, out) in zip(left, folds, strict=True):
+        errors = np.zeros(SETTINGS.trees + 1)
+        for y, (kept, out) in zip(residuals, folds, strict=True):
             boosted = self._boosted(X[kept][:, self._single], y[kept], SETTINGS.trees)
             stages = np.array([*boosted.staged_predict(X[out][:, self._single])])
-            square[0] += np.sum(y[out] ** 2)
-            square[1:] += np.sum((y[out] - stages) ** 2, axis=1)
-        return int(np.argmin(square))
+            errors[0] += np.sum(y[out] ** 2)
+            errors[1:] += np.sum((y[out] - stages) ** 2, axis=1)
+        return int(np.argmin(errors))
 
     def _boosted(self, X: Array, y: Array, trees: int) -> Any:
         from sklearn.ensemble import HistGradientBoostingRegressor
