@@ -11,7 +11,7 @@ import pytest
 import undertow as ut
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.api import refitted
+from undertow.identification.api import combine_fits
 from undertow.identification.diagnose import experiments
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_logs
@@ -109,7 +109,7 @@ def test_all_axes_come_back_from_logs_of_one_motion_each(tmp_path: Path, vehicle
     assert str(parts[0]) == (
         "surge free; sway, heave and yaw held at rest; driven by external forces (surge)"
     )
-    together = refitted(start, [ut.fit(part.vehicle, part.train) for part in parts])
+    together = combine_fits(start, [ut.fit(part.vehicle, part.train) for part in parts])
     assert set(together.names) == set(TRUTH)
     assert not list(together.disagreements())
     found, errors = together.vehicle, together.errors
@@ -203,7 +203,7 @@ def test_experiments_that_disagree_are_reported(vehicle: Vehicle) -> None:
         held = tuple(d for d in AXES if d != axis)
         runs.append(Run(axis, t, channels, held=held))
     parts = experiments(shared, runs)
-    together = refitted(shared, [ut.fit(part.vehicle, part.train, method="weak") for part in parts])
+    together = combine_fits(shared, [ut.fit(part.vehicle, part.train, method="weak") for part in parts])
     (line,) = together.disagreements()
     assert line.startswith("m is 7.5")
     assert "by surge and 9" in line

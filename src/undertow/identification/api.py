@@ -15,7 +15,7 @@ from undertow.notebook import html
 from undertow.typing import Progress
 
 from .comparison import finite
-from .diagnose import Together, known_by, roles, save_found
+from .diagnose import CombinedFits, roles, save_result, uncertainty
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
 from .diagnosis.addition import add_effect as added
@@ -30,13 +30,7 @@ from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
-from .estimation.step import (
-    NOTHING_SAID,
-    Constraints,
-    read_equalities,
-    require_equations,
-    written,
-)
+from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
@@ -107,18 +101,12 @@ class Estimator:
                 return weak
             return final_fit(weak, runs, validation or runs, loss=self.loss, progress=progress)
         if self.method in ("prediction-error", "instrumental"):
-            return self._by_squares(vehicle, runs, free, progress)
+            return self._fit_gaussian_only(vehicle, runs, free, progress)
         return fit_output_error(
-            vehicle,
-            runs,
-            free,
-            self.horizon,
-            constraints=self.constraints,
-            loss=self.loss,
-            progress=progress,
+            vehicle, runs, free, self.horizon, constraints=self.constraints, loss=self.loss, progress=progress
         )
 
-    def _by_squares(
+    def _fit_gaussian_only(
         self, vehicle: Vehicle, runs: Sequence[Run], free: Sequence[str] | None, progress: Progress
     ) -> Fitted:
         """Methods that have no other loss."""
@@ -189,7 +177,7 @@ class Refit:
         """
         import polars as pl  # whoever fits needs it; whoever reads --help does not
 
-        t, said, least = t_values(self.fit), verdicts(self.fit), cramer_rao(self.fit)
+        t, verdicts_by_name, least = t_values(self.fit), verdicts(self.fit), cramer_rao(self.fit)
         found = estimates(self.fit, self.stated)
         return pl.DataFrame(
             {
@@ -200,7 +188,7 @@ class Refit:
                 "unit": [e.unit for e in found],
                 "before": [e.prior for e in found],
                 "t": [t[e.name] for e in found],
-                "identified": [said[e.name] for e in found],
+                "identified": [verdicts_by_name[e.name] for e in found],
             },
             schema_overrides=dict.fromkeys(("standard_error", "bound", "before"), pl.Float64),
         )
@@ -260,7 +248,7 @@ class Refit:
     def save(self, template: str | Path, out: Path) -> None:
         """Write the vehicle file with the fitted values, in the form of the one that it came from."""
         logs = roles(self.train, self.test)
-        save_found(self.vehicle, template, out, self.command, logs, self.errors, known_by(self.fit))
+        save_result(self.vehicle, template, out, self.command, logs, self.errors, uncertainty(self.fit))
 
     @property
     def command(self) -> str:
@@ -423,12 +411,7 @@ def _method(name: str) -> Method:
 
 
 def add_effect(
-    vehicle: Vehicle,
-    effect: str,
-    runs: Runs,
-    validation: Runs = (),
-    *,
-    force: bool = False,
+    vehicle: Vehicle, effect: str, runs: Runs, validation: Runs = (), *, force: bool = False
 ) -> Vehicle:
     """Add an effect to a model and refit the model.
 
@@ -505,14 +488,14 @@ def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
 
 def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
     """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
-    save_found(
+    save_result(
         addition.fit.vehicle,
         template,
         out,
         "undertow add",
         roles(setup.train, setup.test),
         (addition.before.error, addition.after.error),
-        known_by(addition.fit),
+        uncertainty(addition.fit),
         added=[addition.effect],
         helps=addition.helps,
     )
@@ -548,7 +531,7 @@ def plan(
     return plan_separation(vehicle, specs, runs, request, known=effects, trust_log=trust_log)
 
 
-def refitted(vehicle: Vehicle, fits: Sequence[Refit]) -> Together:
+def combine_fits(vehicle: Vehicle, fits: Sequence[Refit]) -> CombinedFits:
     """The whole vehicle from the fits of its experiments."""
     logs = [pair for one in fits for pair in roles(one.train, one.test)]
-    return Together(vehicle, tuple(one.fit for one in fits), logs, [one.errors for one in fits])
+    return CombinedFits(vehicle, tuple(one.fit for one in fits), logs, [one.errors for one in fits])

@@ -85,7 +85,7 @@ class _Evaluation:
             for name in of_each_run(vehicle)
         }
         self._weak = WeakModel(functions, (), known=known)
-        self._own = [self._weak.values.own(self.p, run) for run in data.runs]
+        self._run_parameters = [self._weak.values.own(self.p, run) for run in data.runs]
         self._points = Pointwise(functions, ())
         self._chain = ActuatorStates(functions, ())
         self._sensor_delay = SensorDelay(functions)
@@ -99,19 +99,19 @@ class _Evaluation:
         commands = [r.matrix(self.data.commands) for r in self.data.runs]
         actuation = [
             self._chain.along(r.t, u, p).value
-            for r, u, p in zip(self.data.runs, commands, self._own, strict=True)
+            for r, u, p in zip(self.data.runs, commands, self._run_parameters, strict=True)
         ]
         pieces = []
         for i, reported in enumerate(self.data.segments):
-            p = self._own[reported.run]
+            p = self._run_parameters[reported.run]
             s = self._sensor_delay.in_time(reported, p)
-            mass, along = self._along(s, actuation[s.run][s.samples], p)
+            mass, averages = self._averages(s, actuation[s.run][s.samples], p)
             # The weak residual is the acceleration of the model minus the measured one.
             acceleration = -self._table(parts[i].r) / _weight(s)[:, None]
-            along["missing"] = np.einsum("kij,kj->ki", mass, acceleration)
-            along["noise"] = self._spread(noise[i].covariance, mass) / _weight(s)[:, None]
-            pieces.append(along | {"whitened": white[i]} | _places(i, s))
-        return _joined(pieces)
+            averages["missing"] = np.einsum("kij,kj->ki", mass, acceleration)
+            averages["noise"] = self._standard_deviation(noise[i].covariance, mass) / _weight(s)[:, None]
+            pieces.append(averages | {"whitened": white[i]} | _places(i, s))
+        return _concatenated(pieces)
 
     def _by_segment(self, r: Array) -> list[Array]:
         ends = np.cumsum([s.functions.count * len(self.data.rows) for s in self.data.segments])
@@ -121,7 +121,7 @@ class _Evaluation:
         """Entries of the force equations, shape (K, n)."""
         return r.reshape(-1, len(self.data.rows))[:, : self.size]
 
-    def _spread(self, covariance: csr_array, mass: Array) -> Array:
+    def _standard_deviation(self, covariance: csr_array, mass: Array) -> Array:
         """Standard deviation of the force times the weight of the test function, shape (K, n)."""
         count, rows = len(mass), len(self.data.rows)
         blocks = np.concatenate([mass, np.zeros((count, self.size, rows - self.size))], axis=2)
@@ -129,7 +129,7 @@ class _Evaluation:
         variance = (to_force @ covariance).multiply(to_force).sum(axis=1)
         return np.sqrt(np.asarray(variance).reshape(-1, self.size))
 
-    def _along(self, s: Segment, actuation: Array, p: Array) -> tuple[Array, dict[str, Any]]:
+    def _averages(self, s: Segment, actuation: Array, p: Array) -> tuple[Array, dict[str, Any]]:
         """Mass matrix at every test function, shape (K, n, n), and averages of all else."""
         memory = self._memory.along(s.t, s.measured, actuation, s.u, p).value
         (motion,) = mapped(self._points.true_motion_at, [s.measured, actuation, memory, s.u], p, s.t)
@@ -170,7 +170,7 @@ def _places(index: int, s: Segment) -> dict[str, Any]:
     return {"run": np.full(count, s.run), "segment": np.full(count, index), "t": s.functions.centre}
 
 
-def _joined(pieces: list[dict[str, Any]]) -> Forces:
+def _concatenated(pieces: list[dict[str, Any]]) -> Forces:
     columns: dict[str, Any] = {}
     for name in pieces[0]:
         values = [piece[name] for piece in pieces]
@@ -301,7 +301,7 @@ class ComparisonSettings:
     # Standard deviations by which the mean square of a cell must exceed that of noise to be called a failure.
     failure: float = 4.0
     # Sum of the correlations between test functions under white process noise.
-    correlated: float = 2.1
+    correlation_sum: float = 2.1
     lags: int = 20  # of the autocorrelation of the residual
 
 
@@ -395,10 +395,10 @@ def _commands(forces: Forces, vehicle: Vehicle, sigma: Array) -> _Found:
         return
     largest = np.max(np.abs(forces.commands), axis=0)
     idle = np.all(np.abs(forces.commands) <= SETTINGS.no_command * largest, axis=1)
-    woken = np.zeros(len(idle), dtype=bool)
+    started = np.zeros(len(idle), dtype=bool)
     for step in range(1, SETTINGS.starting + 1):
-        woken[step:] |= idle[:-step] & (forces.segment[step:] == forces.segment[:-step])
-    yield "commands", "start-up", "when starting up", woken & ~idle
+        started[step:] |= idle[:-step] & (forces.segment[step:] == forces.segment[:-step])
+    yield "commands", "start-up", "when starting up", started & ~idle
     yield "commands", "coasting", "when coasting", idle
 
 
@@ -467,7 +467,7 @@ def _profile(dof: str, name: str, unit: str, force: Array, value: Array) -> Prof
         unit,
         np.array([value[g].mean() for g in groups]),
         np.array([force[g].mean() for g in groups]),
-        np.array([force[g].std(ddof=1) * np.sqrt(SETTINGS.correlated / len(g)) for g in groups]),
+        np.array([force[g].std(ddof=1) * np.sqrt(SETTINGS.correlation_sum / len(g)) for g in groups]),
         np.array([len(g) for g in groups], dtype=np.intp),
     )
 
@@ -543,8 +543,8 @@ def compare(
     found = regimes(forces, vehicle, data.sigma)
     rows = range(len(vehicle.dof_indices))
     cells = [_cell(forces, vehicle, i, r) for i in rows for r in found]
-    shown = (c for c in cells if c.normalised is not None)
-    worst = max(shown, key=lambda c: c.normalised or 0.0, default=None)
+    judged = (c for c in cells if c.normalised is not None)
+    worst = max(judged, key=lambda c: c.normalised or 0.0, default=None)
     result = ComparisonResult(
         undertow=__version__,
         vehicle=vehicle.name,
@@ -665,7 +665,7 @@ def headline(worst: Cell | None) -> str:
     explained = "under 1" if percent < 1 else f"{percent:.0f}"
     share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
-    if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlated / worst.samples):
+    if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlation_sum / worst.samples):
         return f"no residual clearly exceeds the noise; the largest is {place}: {share}"
     return f"fails most {place}: {share}"
 

@@ -295,19 +295,19 @@ def _with_doctor(diagnosis: Diagnosis, examined: Examination, *, explained: bool
     )
 
 
-# --- vehicle files with what was found, and the history in them of how it came about --------------
+# --- vehicle files with the result, and its history -----------------------------------------------
 def roles(train: Sequence[Run], test: Sequence[Run]) -> list[tuple[Role, Run]]:
     """Logs with their roles: training or validation."""
     names: tuple[Role, Role] = ("train", "holdout")
     return [(role, run) for role, runs in zip(names, (train, test), strict=True) for run in runs]
 
 
-def known_by(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
+def uncertainty(fit: Fitted) -> tuple[tuple[str, ...], Array, list[ValuesByRun]]:
     """Names and covariance of the parameters of a fit, and the values by run."""
     return (*fit.vehicle_covariance, values_by_run(fit, fit.model.functions.vehicle))
 
 
-def save_found(
+def save_result(
     vehicle: Vehicle,
     template: str | Path,
     out: Path,
@@ -319,7 +319,7 @@ def save_found(
 ) -> None:
     """Write a vehicle in the form of the file that it came from, with a history of its values.
 
-    `errors` are those before and after, `known` is as by `known_by`, and `more` goes into the history.
+    `errors` are those before and after, `known` is as by `uncertainty`, and `more` goes into the history.
     """
     names, covariance, by_run = known
     entry = {
@@ -348,12 +348,12 @@ def save_diagnosis(
     """Write the vehicle file with the result of a diagnosis."""
     d = result.diagnosis
     logs, errors = [(r.role, r) for r in d.runs], (d.steps[0].error, d.last_step.error)
-    save_found(result.after, template, out, command, logs, errors, known_by(result.fit), added=d.effects)
+    save_result(result.after, template, out, command, logs, errors, uncertainty(result.fit), added=d.effects)
 
 
-# --- logs of a rig: an experiment for each set of motions that is free, put together --------------
-# What of the motion of a rig the equations may feel: depth and attitude, and all velocities.
-_FELT = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), strict=True))
+# --- logs of a rig: an experiment for each set of free motions ------------------------------------
+# Channels of a prescribed motion that enter the equations: depth and attitude, and all velocities.
+_PRESCRIBED_CHANNELS = dict(zip(DOFS, zip((None, None, *POSE[2:]), VELOCITY, strict=True), strict=True))
 
 
 @dataclass(frozen=True)
@@ -392,13 +392,13 @@ def experiments(vehicle: Vehicle, runs: Sequence[Run], validation: Sequence[Run]
     found: dict[tuple[object, ...], Experiment] = {}
     for role, logs in (("train", runs), ("test", validation)):
         for run in logs:
-            one = _experiment(vehicle, run)
-            key = (one.vehicle.degrees_of_freedom, one.moved, one.pushed)
-            getattr(found.setdefault(key, one), role).append(run)
-    for one in found.values():
-        if not one.train:
+            experiment = _experiment(vehicle, run)
+            key = (experiment.vehicle.degrees_of_freedom, experiment.moved, experiment.pushed)
+            getattr(found.setdefault(key, experiment), role).append(run)
+    for experiment in found.values():
+        if not experiment.train:
             raise UndertowError(
-                f"no training log has the free motions of this validation log: {one}: leave it out"
+                f"no training log has the free motions of this validation log: {experiment}: leave it out"
             )
     return list(found.values())
 
@@ -411,7 +411,7 @@ def _experiment(vehicle: Vehicle, run: Run) -> Experiment:
             f"run '{run.name}' has no free motion of '{vehicle.name}': held are {', '.join(held)}: "
             "leave the log out, or add its motion to the vehicle"
         )
-    moved = {d: [n for n in _FELT[d] if n and run.has(n)] for d in held}
+    moved = {d: [n for n in _PRESCRIBED_CHANNELS[d] if n and run.has(n)] for d in held}
     channels = tuple(n for names in moved.values() for n in names)
     pushed = bool(held) and _pushed(vehicle, free, run)
     reduced = vehicle.constrained(free, channels, pushed=pushed) if held else vehicle
@@ -433,9 +433,9 @@ def _pushed(vehicle: Vehicle, free: Sequence[str], run: Run) -> bool:
     return not lacking and bool(commands or not vehicle.actuator_names)
 
 
-# --- put together ---------------------------------------------------------------------------------
+# --- combination ----------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Together:
+class CombinedFits:
     """Fits of several experiments combined, weighted by their information."""
 
     stated: Vehicle  # the whole vehicle as given
@@ -451,23 +451,23 @@ class Together:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of their errors: experiments are independent, so their information adds up."""
-        return inverse_of(np.sum([self._known(fit)[0] for fit in self.fits], axis=0))
+        return inverse_of(np.sum([self._information(fit)[0] for fit in self.fits], axis=0))
 
     @cached_property
     def values(self) -> dict[str, float]:
         """Values by generalised least squares, in SI and SNAME signs."""
-        found = self.covariance @ np.sum([self._known(fit)[1] for fit in self.fits], axis=0)
+        found = self.covariance @ np.sum([self._information(fit)[1] for fit in self.fits], axis=0)
         return dict(zip(self.names, found.tolist(), strict=True))
 
-    def _known(self, fit: Fitted) -> tuple[Array, Array]:
+    def _information(self, fit: Fitted) -> tuple[Array, Array]:
         """Information of a fit, (k, k), and that times its values, (k,), in the order of `names`."""
         own, covariance = fit.vehicle_covariance
         places = np.array([self.names.index(n) for n in own])
-        table, pull = np.zeros((len(self.names), len(self.names))), np.zeros(len(self.names))
+        table, weighted_values = np.zeros((len(self.names), len(self.names))), np.zeros(len(self.names))
         information = inverse_of(covariance)
         table[np.ix_(places, places)] = information
-        pull[places] = information @ np.array([fit.values[n] for n in own])
-        return table, pull
+        weighted_values[places] = information @ np.array([fit.values[n] for n in own])
+        return table, weighted_values
 
     @property
     def errors(self) -> dict[str, float]:
@@ -488,24 +488,24 @@ class Together:
         """Write the whole vehicle, in the form of its file; errors are root mean squares."""
         before, after = np.sqrt(np.mean(np.square(self.shares), axis=0)).tolist()
         known = self.names, self.covariance, ()
-        save_found(self.vehicle, template, out, command, self.logs, (before, after), known, **more)
+        save_result(self.vehicle, template, out, command, self.logs, (before, after), known, **more)
 
     def disagreements(self) -> Iterator[str]:
         """Parameters whose estimates in two experiments contradict each other."""
-        for one, other in combinations(self.fits, 2):
-            for name in (n for n in one.values if n in other.values):
-                apart = abs(one.values[name] - other.values[name])
-                spread = float(np.hypot(one.standard_errors[name], other.standard_errors[name]))
-                if apart > SURE * spread:
-                    places = [listed(f.model.functions.vehicle.degrees_of_freedom) for f in (one, other)]
+        for first, other in combinations(self.fits, 2):
+            for name in (n for n in first.values if n in other.values):
+                difference = abs(first.values[name] - other.values[name])
+                spread = float(np.hypot(first.standard_errors[name], other.standard_errors[name]))
+                if difference > SURE * spread:
+                    places = [listed(f.model.functions.vehicle.degrees_of_freedom) for f in (first, other)]
                     yield (
-                        f"{name} is {one.values[name]:.4g} by {places[0]} and {other.values[name]:.4g} by "
-                        f"{places[1]} (SNAME signs), {apart / spread:.1f} standard errors apart: one of them "
-                        "lacks an effect"
+                        f"{name} is {first.values[name]:.4g} by {places[0]} and {other.values[name]:.4g} by "
+                        f"{places[1]} (SNAME signs), {difference / spread:.1f} standard errors apart: one of "
+                        "them lacks an effect"
                     )
 
 
-def diagnosed(vehicle: Vehicle, outcomes: Sequence[DiagnosisResult]) -> Together:
+def combine_diagnoses(vehicle: Vehicle, outcomes: Sequence[DiagnosisResult]) -> CombinedFits:
     """The whole vehicle with the effects named in any of its experiments."""
     for outcome in outcomes:
         for effect in (e for e in outcome.after.effects if e.id in outcome.effects):
@@ -513,4 +513,4 @@ def diagnosed(vehicle: Vehicle, outcomes: Sequence[DiagnosisResult]) -> Together
             vehicle = vehicle.with_effect(type(effect), new)
     logs = [(r.role, r) for outcome in outcomes for r in outcome.diagnosis.runs]
     errors = [(d.steps[0].error, d.last_step.error) for d in (outcome.diagnosis for outcome in outcomes)]
-    return Together(vehicle, tuple(outcome.fit for outcome in outcomes), logs, errors)
+    return CombinedFits(vehicle, tuple(outcome.fit for outcome in outcomes), logs, errors)

@@ -40,7 +40,7 @@ class ObserveSettings:
     first_kinematics: float = 0.1
     # Least noise of a report, as a share of the channel's spread: a log without noise has a solution, too.
     least: float = 1e-5
-    together: float = 1e-9  # s by which times may differ that are one
+    same_time: float = 1e-9  # s by which times may differ that are one
     fewest: int = 10  # reports of all channels
     # Share of the reports of a channel that is rejected by a filter which has lost its track: the gate of an
     # honest one rejects one in a million, and outliers are rarer than this.
@@ -251,7 +251,7 @@ def observe(
     found = smoothed(filtered)
     last = (found.mean[-1], found.deviation[-1])
     known: Flags = np.asarray(reports.there.any(axis=0))
-    gone = reports.there & ~filtered.used
+    rejected = reports.there & ~filtered.used
     return Observed(
         _as_run(run, what, found, rows),
         process,
@@ -262,7 +262,7 @@ def observe(
         nis([filtered], what.channels),
         whiteness([filtered], what.channels),
         {n: (float(last[0][what.index(n)]), float(last[1][what.index(n)])) for n in estimated},
-        {n: int(c) for n, c in zip(what.channels, gone.sum(axis=0), strict=True) if c},
+        {n: int(c) for n, c in zip(what.channels, rejected.sum(axis=0), strict=True) if c},
     )
 
 
@@ -275,12 +275,12 @@ def reports_of(run: Run, process: Process) -> tuple[Reports, Index]:
     own = [name if run.has(name) and name not in run.derived else "" for name in process.channels]
     late = np.where([bool(name) for name in own], process.late, 0.0)
     times = np.concatenate([run.t - age for age in {0.0, *late.tolist()}])
-    t = _filled(_distinct(np.sort(times[times >= run.t[0] - SETTINGS.together])), longest_step(process))
+    t = _filled(_distinct(np.sort(times[times >= run.t[0] - SETTINGS.same_time])), longest_step(process))
     y = np.full((len(t), len(own)), np.nan)
     for i, name in enumerate(own):
         if name:
             at, reports = run.t - late[i], run.reports(name)
-            good = np.isfinite(reports) & (at >= t[0] - SETTINGS.together)
+            good = np.isfinite(reports) & (at >= t[0] - SETTINGS.same_time)
             y[_nearest(t, at[good]), i] = reports[good]
     count = int(np.isfinite(y).sum())
     if count < SETTINGS.fewest:
@@ -303,7 +303,7 @@ def _noise(run: Run, name: str, reports: Array, t: Array) -> float:
 
 
 def _distinct(t: Array) -> Array:
-    return t[np.concatenate([[True], np.diff(t) > SETTINGS.together])]
+    return t[np.concatenate([[True], np.diff(t) > SETTINGS.same_time])]
 
 
 def _filled(t: Array, longest: float) -> Array:
@@ -329,7 +329,7 @@ def _commands(run: Run, process: Process, t: Array) -> Array:
             f"run {run.name!r} has no command {missing[0]!r}, which the model needs: map its column, or "
             "estimate with kinematics (--process kinematics)"
         )
-    at = np.searchsorted(run.t, t - process.dead_time + SETTINGS.together, side="right") - 1
+    at = np.searchsorted(run.t, t - process.dead_time + SETTINGS.same_time, side="right") - 1
     return without_gaps(run.known(names))[np.maximum(at, 0)]
 
 
@@ -350,10 +350,10 @@ def _first_densities(process: Process, stated: Mapping[str, float]) -> tuple[Arr
     first = s.first_model if process.kind == "model" else s.first_kinematics
     walk = {n: s.current_walk / np.sqrt(s.hour) for n in CURRENT}
     walk |= {n: s.bias_walk / np.sqrt(s.hour) for n in BIASES}
-    alien = [n for n in stated if n not in process.driven_names]
-    if alien:
+    unknown = [n for n in stated if n not in process.driven_names]
+    if unknown:
         raise UndertowError(
-            f"a disturbance of '{alien[0]}' is stated, but process noise drives "
+            f"a disturbance of '{unknown[0]}' is stated, but process noise drives "
             f"{', '.join(process.driven_names)}"
         )
     known = walk | dict(stated)

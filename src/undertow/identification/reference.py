@@ -23,7 +23,7 @@ class ReferenceSettings:
     # Longest step, s, of a reference that is interpolated: in between, an acceleration of 0.5 m/s^2 makes
     # an error of half a millimetre.
     longest: float = 0.1
-    together: float = 1e-6  # s by which times may differ that are one
+    same_time: float = 1e-6  # s by which times may differ that are one
 
 
 SETTINGS = ReferenceSettings()
@@ -59,9 +59,9 @@ def truth_at(estimate: Estimate, run: Run, references: Sequence[Run]) -> Truth:
             f"reference {first.source} has none of {', '.join(moving)}: name its columns in a mapping file "
             "beside it"
         )
-    values = np.column_stack([_at(estimate.t, references, n) for n in names])
+    values = np.column_stack([_interpolated(estimate.t, references, n) for n in names])
     if not np.isfinite(values).any():
-        raise UndertowError(_apart(estimate, run, references))
+        raise UndertowError(_mismatch(estimate, run, references))
     noise = [max(one.sigma.get(n, 0.0) for one in references) for n in names]
     return Truth(names, values, np.array(noise) ** 2)
 
@@ -70,7 +70,7 @@ def _measured(run: Run, name: str) -> bool:
     return run.has(name) and name not in run.derived
 
 
-def _at(t: Array, references: Sequence[Run], name: str) -> Array:
+def _interpolated(t: Array, references: Sequence[Run], name: str) -> Array:
     """A channel at times; NaN where no two samples that are close enough enclose them."""
     found = np.full(len(t), np.nan)
     for one in references:
@@ -79,8 +79,8 @@ def _at(t: Array, references: Sequence[Run], name: str) -> Array:
         y = one.reports(name)
         own, y = one.t[np.isfinite(y)], y[np.isfinite(y)]
         if len(own) > 1:
-            there = _enclosed(t, own)
-            found[there] = np.interp(t[there], own, y)
+            within = _enclosed(t, own)
+            found[within] = np.interp(t[within], own, y)
     return found
 
 
@@ -88,13 +88,13 @@ def _enclosed(t: Array, own: Array) -> Flags:
     """Which times coincide with samples, or lie between two that are close."""
     after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
     before, step = t - own[after - 1], own[after] - own[after - 1]
-    within = (before >= 0) & (before <= step) & (step <= SETTINGS.longest * (1 + SETTINGS.together))
-    return within | (np.minimum(abs(before), abs(before - step)) <= SETTINGS.together)
+    within = (before >= 0) & (before <= step) & (step <= SETTINGS.longest * (1 + SETTINGS.same_time))
+    return within | (np.minimum(abs(before), abs(before - step)) <= SETTINGS.same_time)
 
 
-def _apart(estimate: Estimate, run: Run, references: Sequence[Run]) -> str:
+def _mismatch(estimate: Estimate, run: Run, references: Sequence[Run]) -> str:
     """Why no row of an estimate has a true state."""
-    begin, end = min(one.t[0] for one in references), max(one.t[-1] for one in references)
+    begin, end = (min(one.t[0] for one in references), max(one.t[-1] for one in references))
     if end < estimate.t[0] or begin > estimate.t[-1]:
         return (
             f"reference {references[0].source} lasts from {begin:g} to {end:g} s, and log {run.source} from "

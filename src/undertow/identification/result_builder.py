@@ -189,9 +189,9 @@ class ResultBuilder:
             contradiction = error_of_sensors(self._harmless, comparable, self.settings)
             if contradiction:
                 return contradiction
-        noisy = {r.degree_of_freedom for r in self._remaining if not r.excess_rms}
+        noise_only = {r.degree_of_freedom for r in self._remaining if not r.excess_rms}
         depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._remaining)
-        if depends or not is_disturbance(self._predictable, noisy):
+        if depends or not is_disturbance(self._predictable, noise_only):
             return self.judgement
         return only_disturbance(self._predictable, self.judgement.share)
 
@@ -229,7 +229,7 @@ class ResultBuilder:
             effects=unique_ids(self.judgement.effects),
             helps=unique_ids(self.judgement.helps),
             added=self._added(),
-            ranking=[self._ranked(f) for f in self._in_order()],
+            ranking=[self._ranked(f) for f in self._ordered_candidates()],
             steps=self._steps(),
             indistinguishable=self._sets(),
             equivalent=equivalent,
@@ -309,15 +309,11 @@ class ResultBuilder:
         before, data = self._base_score, self.bench.test
         after = score_of(fit, data, self._whitening, before.r)
         without, with_it = map(error_of, comparable_mean_squares(before, after, data))
-        return self._before * with_it / without
+        return self._base_score.error * with_it / without
 
     @cached_property
     def _base_score(self) -> Score:
         return score_of(self.base, self.bench.test, self._whitening)
-
-    @cached_property
-    def _before(self) -> float:
-        return self._base_score.error
 
     def _steps(self) -> list[Step]:
         ids, freed = [w.id for w in self.found.winners], list(self.found.freed)
@@ -340,7 +336,7 @@ class ResultBuilder:
             freed=list(freed),
         )
 
-    def _in_order(self) -> list[FoundEffect]:
+    def _ordered_candidates(self) -> list[FoundEffect]:
         """The chosen effects in the order found, and the others added to the model as given.
 
         If simulation decided, those simulated are in the order of their improvement of long predictions.
@@ -351,13 +347,15 @@ class ResultBuilder:
         gains = {} if self._selection is None else self._selection.gains
         falls = {i: gain.falls[max(gain.falls)] for i, gain in gains.items()}
         others = (f for f in self.found.rounds[0].findings if f.id not in chosen)
-        unseen = -math.inf
-        rest = sorted(others, key=lambda f: (not self._shown(f), -falls.get(f.id, unseen)))
+        last = -math.inf
+        rest = sorted(others, key=lambda f: (not self._is_significant(f), -falls.get(f.id, last)))
         return [*chosen.values(), *rest]
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
-        helps = self._shown(finding) or (bool(trial.kept) and trial.score.error < self.bench.base_score.error)
+        helps = self._is_significant(finding) or (
+            bool(trial.kept) and trial.score.error < self.bench.base_score.error
+        )
         names = finding.parameters if helps and trial.kept else ()
         fit = self.validator.predicting_fit(trial.fit)
         return Ranked(
@@ -365,13 +363,13 @@ class ResultBuilder:
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
             parameters=[estimate(fit, n, self.vehicle) for n in names],
-            error_before=self._before,
-            error_after=self._normalised(trial.fit) if helps else self._before,
+            error_before=self._base_score.error,
+            error_after=self._normalised(trial.fit) if helps else self._base_score.error,
             explained=max(finding.explained, 0.0),
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
-            # Where nothing is missing the simulation, which has the last word, needs none of them.
-            significant=self._shown(finding)
+            # If nothing is missing the simulation, which decides, needs none of them.
+            significant=self._is_significant(finding)
             and not finding.may_be_slow_disturbance(self.settings)
             and self.judgement.verdict != "adequate",
             p_value=max(finding.p_value, finding.slow_p_value) if helps else None,
@@ -380,17 +378,17 @@ class ResultBuilder:
             falls=self._falls(finding.id),
         )
 
-    def _shown(self, finding: FoundEffect) -> bool:
+    def _is_significant(self, finding: FoundEffect) -> bool:
         """Whether a candidate is significant, by the residual alone or confirmed by simulation."""
         return finding.significant or (self._selection is not None and finding.id in self._selection.gains)
 
     @cached_property
-    def _claimed(self) -> set[str]:
+    def _named(self) -> set[str]:
         """Effects that the verdict names, alone or in a set."""
         return {*unique_ids(self.judgement.effects), *(e for s in self.judgement.sets for e in s.effects)}
 
     def _reason(self, effect: str) -> str:
-        if self._selection is None or effect in self._claimed:
+        if self._selection is None or effect in self._named:
             return ""
         doubts = {g.chosen.id: g.doubt for g in self._selection.graded if g.doubt}
         return doubts.get(effect) or self._selection.reasons.get(effect, "")
@@ -402,7 +400,7 @@ class ResultBuilder:
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:
         named = tuple(unique_ids(self.judgement.effects))
         helpers = [
-            h for h in improved_models(self.found.rounds[0].findings) if self._claimed.issuperset(h.effects)
+            h for h in improved_models(self.found.rounds[0].findings) if self._named.issuperset(h.effects)
         ]
         if len(named) > 1:
             helpers.append(
@@ -430,18 +428,18 @@ def validated(found: Search, validator: SimulationValidator) -> Search:
     set of equally good effects are fitted by output error, started from the weak form, and simulate the
     validation runs; the best of them leads, and is fitted once more.
     """
-    return _with_last_fit(_among_equals(_without_surplus(found, validator), validator))
+    return _with_last_fit(_best_of_equals(_without_superfluous(found, validator), validator))
 
 
 def _as_selected(found: Search, validator: SimulationValidator) -> Search:
     """The search with what simulation selected; if only noise remains, with the rivals that do as well."""
     found = _with_last_fit(found)
     if found.winners and validator.residual_is_noise(found.effect_set.fit, found.bench.test):
-        return _with_last_fit(_among_equals(found, validator))
+        return _with_last_fit(_best_of_equals(found, validator))
     return found
 
 
-def _among_equals(found: Search, validator: SimulationValidator) -> Search:
+def _best_of_equals(found: Search, validator: SimulationValidator) -> Search:
     """The search with the best of every set by simulation, and the others of it that do as well."""
     bench = found.bench
     for place in range(len(found.rivals)):
@@ -484,17 +482,17 @@ def _with_last_fit(found: Search) -> Search:
     return replace(found, effect_set=replace(effect_set, fit=fit, score=bench.score(fit)))
 
 
-def _without_surplus(found: Search, validator: SimulationValidator) -> Search:
+def _without_superfluous(found: Search, validator: SimulationValidator) -> Search:
     """The search without effects that the simulation does not need."""
-    if _hidden_in_noise(found, validator):
+    if _unnecessary(found, validator):
         return replace(found, effect_set=fitted(found.vehicle, [], found.bench), rivals=[])
     superfluous = _superfluous(found, validator)
     if superfluous is None:
         return found
     place, shorter = superfluous
     kept = [i for i in range(len(found.winners)) if i != place]
-    rivals = [[_only(c, kept) for c in found.rivals[i]] for i in kept]
-    return _without_surplus(replace(found, effect_set=shorter, rivals=rivals), validator)
+    rivals = [[_subset(c, kept) for c in found.rivals[i]] for i in kept]
+    return _without_superfluous(replace(found, effect_set=shorter, rivals=rivals), validator)
 
 
 def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, EffectSet] | None:
@@ -515,7 +513,7 @@ def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, Ef
     return None
 
 
-def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:
+def _unnecessary(found: Search, validator: SimulationValidator) -> bool:
     """Whether the model as given leaves only noise, and simulates no worse than with the effects found.
 
     If a motion is nearly as fast as the sampling, or there is almost no noise, the weak form has an error of
@@ -531,16 +529,13 @@ def _hidden_in_noise(found: Search, validator: SimulationValidator) -> bool:
     )
 
 
-def _only(effect_set: EffectSet, places: list[int]) -> EffectSet:
+def _subset(effect_set: EffectSet, places: list[int]) -> EffectSet:
     return replace(effect_set, findings=tuple(effect_set.findings[i] for i in places))
 
 
 # --- evidence in the forces against effects that would be named -----------------------------------
 def contradiction(
-    effect: FoundEffect,
-    fits: tuple[WeakFit, WeakFit],
-    bench: Bench,
-    validator: SimulationValidator,
+    effect: FoundEffect, fits: tuple[WeakFit, WeakFit], bench: Bench, validator: SimulationValidator
 ) -> str:
     """Why an effect is not established as the cause, in words; empty if no force contradicts it.
 
@@ -576,11 +571,11 @@ def _is_proxy(effect: FoundEffect, before: Fitted, bench: Bench, validator: Simu
     left = _unrelated_to(effect, remaining(before, bench.train, bench.train), before.model.functions.vehicle)
     if not left:
         return ""
-    made = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
-    other = try_all(bench, {made.id: made}, lambda done, words: None).findings[0]
+    template = effect_of(left, max(float(r.t[-1] - r.t[0]) for r in bench.train.runs))
+    other = try_all(bench, {template.id: template}, lambda done, words: None).findings[0]
     if not other.trial.kept:
         return ""
-    kept, force = kept_with(effect, other, before, bench, validator), made.about().rstrip(".")
+    kept, force = kept_with(effect, other, before, bench, validator), template.about().rstrip(".")
     if kept.size < 1.0 - bench.settings.size_spread:
         lost = f"its size would drop to {max(kept.size, 0.0):.0%} of the fitted value"
     elif kept.gain < bench.settings.kept_gain:

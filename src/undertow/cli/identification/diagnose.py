@@ -134,7 +134,7 @@ def _write(
 ) -> None:
     """Write the files of all experiments, and one vehicle file with what was found in any of them."""
     from undertow.files import together, write_whole
-    from undertow.identification.diagnose import diagnosed, save_diagnosis
+    from undertow.identification.diagnose import combine_diagnoses, save_diagnosis
 
     outcomes = [outcome for outcome, *_ in written]
     with progress("writing", None), together():
@@ -145,7 +145,7 @@ def _write(
                 outcome.report(report)
         if apply is not None and rig:
             named = list(dict.fromkeys(e for outcome in outcomes for e in outcome.effects))
-            diagnosed(model, outcomes).save(template, apply, "undertow diagnose", added=named)
+            combine_diagnoses(model, outcomes).save(template, apply, "undertow diagnose", added=named)
         elif apply is not None:
             save_diagnosis(outcomes[0], template, apply)
     for path in (path for _, *files in written for path in files if path is not None):

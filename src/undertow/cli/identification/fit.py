@@ -82,8 +82,8 @@ def fit(
     force: Annotated[bool, _FORCE] = False,
     json: JsonFileOption = None,
 ) -> int:
+    from undertow.identification.api import combine_fits
     from undertow.identification.api import fit as refit
-    from undertow.identification.api import refitted
     from undertow.identification.diagnose import experiments, on_rig
     from undertow.identification.long_logs.choosing import FIT
 
@@ -115,7 +115,7 @@ def fit(
         show(done, options.line(vehicle, logs, holdout))
         if correlation:
             show_correlation(done.fit)
-    together = refitted(model, fits)
+    together = combine_fits(model, fits)
     for line in together.disagreements():
         say(line, "yellow")
     long = loaded.checked({"as given": fits[0].stated, "refitted": fits[0].vehicle})
