@@ -17,7 +17,7 @@ import pytest
 
 from undertow.codegen.gram import layout
 from undertow.codegen.source import FORMS
-from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.paper.regression import LinearFit
 
 from . import vehicle
@@ -48,7 +48,7 @@ def fit() -> LinearFit:
 
 def solved(logs: list[dict[str, np.ndarray]]) -> np.ndarray:
     """Our estimates from all samples of some logs."""
-    triangle = Triangle(len(NAMES))
+    triangle = TriangularFactor(len(NAMES))
     for log in logs:
         triangle.add(*fit().triangle(log))
     H, target = triangle.split()

@@ -12,12 +12,12 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import relative_squares
-from undertow.identification.estimation.predictor import Predictor, best_start, predict
+from undertow.identification.estimation.predictor import Predictor, estimated_starts, predict
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.windows import (
     Prediction,
-    arriving,
     cut,
+    delayed_commands,
     horizons,
     local_value,
     position_error,
@@ -226,12 +226,12 @@ def test_late_commands_arrive_between_samples_that_are_not_regular() -> None:
     u = np.arange(6.0)[:, None]
     run = Run("run", t, {"x": t, "u": t, "f1": u[:, 0]})
     windows = cut([run], _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}), None)
-    drive = arriving(windows, 0.1)
+    drive = delayed_commands(windows, 0.1)
     np.testing.assert_allclose(drive.t[0], [0, 0.1, 0.15, 0.2, 0.25, 0.4, 0.5, 0.6, 0.62])
     np.testing.assert_allclose(drive.held[0, :, 0], [0, 0, 0, 1, 2, 2, 3, 4, 4])
     np.testing.assert_allclose(drive.at_samples(drive.t)[0], t)
     np.testing.assert_allclose(drive.u[0, :, 0], [0, 0, 0, 2, 3, 4])
-    ones = drive.spread(np.ones((1, 6, 2)))
+    ones = drive.zero_filled(np.ones((1, 6, 2)))
     assert ones.sum() == 12
     assert np.all(drive.at_samples(ones) == 1.0)
 
@@ -264,7 +264,7 @@ def test_a_lag_is_followed_from_an_estimated_beginning() -> None:
     prediction = predict(lagged, runs_of(case), 5.0)
     # The thrusters stood still when the log began, which it does not say.
     assert prediction_error(prediction) < 5e-3
-    start, _ = Predictor(lagged).start_and_drive(prediction.windows, np.array(Predictor(lagged).values))
+    start, _ = Predictor(lagged).start_and_commands(prediction.windows, np.array(Predictor(lagged).values))
     assert np.max(np.abs(start[0, 6:])) < 0.02 * np.max(np.abs(start[:, 6:]))
 
 
@@ -278,9 +278,9 @@ def test_what_windows_inherit_is_that_of_these_parameters_whatever_was_asked_bef
     for windows, lag in [*asked, *asked[:2], *asked[32:34]]:
         p = old.values
         p[place] = lag
-        fresh = Predictor(lagged).start_and_drive(windows, p) if lag < 1.0 else None
-        found = old.start_and_drive(windows, p)
-        again = old.start_and_drive(windows, p, np.ones((len(windows), 6)))
+        fresh = Predictor(lagged).start_and_commands(windows, p) if lag < 1.0 else None
+        found = old.start_and_commands(windows, p)
+        again = old.start_and_commands(windows, p, np.ones((len(windows), 6)))
         assert np.all(again[0][:, :6] == 1.0)
         assert np.array_equal(again[0][:, 6:], found[0][:, 6:])
         assert fresh is None or np.array_equal(found[0], fresh[0])
@@ -295,7 +295,7 @@ def test_the_slope_of_what_windows_inherit_is_found_from_close_by() -> None:
     step = 1e-3 * p * (np.array(Predictor(lagged).functions.parameter_names) == "T_lag")
 
     def slope(near: np.ndarray | None) -> np.ndarray:
-        ends = [Predictor(lagged).start_and_drive(windows, p + s, None, near)[0] for s in (step, -step)]
+        ends = [Predictor(lagged).start_and_commands(windows, p + s, None, near)[0] for s in (step, -step)]
         return (ends[0] - ends[1])[:, 6:] / (2.0 * np.max(step))
 
     assert np.max(np.abs(slope(None))) > 0.1
@@ -309,12 +309,12 @@ def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:
     def report(starts: np.ndarray) -> np.ndarray:
         return (starts[:, :1] + starts[:, 1:] * t)[:, :, None] / SIGMA
 
-    found = best_start(report, measured, np.zeros((1, 2)), np.array([10.0, 10.0]))
+    found = estimated_starts(report, measured, np.zeros((1, 2)), np.array([10.0, 10.0]))
     np.testing.assert_allclose(found, [[2.0, 3.0]], atol=1e-5)
 
 
 def test_a_start_that_cannot_be_simulated_stays_where_it_is() -> None:
-    found = best_start(
+    found = estimated_starts(
         lambda s: np.full((len(s), 4, 1), np.nan), np.ones((1, 4, 1)), np.ones((1, 2)), np.ones(2)
     )
     np.testing.assert_array_equal(found, 1.0)

@@ -26,7 +26,7 @@ from undertow.identification.estimation.step import (
     Constraints,
     bounds_of,
     limited_step,
-    physical,
+    nearest_physical,
     prior_of,
     read_equalities,
 )
@@ -146,11 +146,11 @@ def test_a_start_that_is_not_physical_is_moved_to_the_nearest_that_is() -> None:
     p = np.array(model.functions.values())
     k = model.places[0]
     p[k] = -20.0
-    moved = physical(model, p, bounds_of(model))
+    moved = nearest_physical(model, p, bounds_of(model))
     assert moved[k] == pytest.approx(-np.sqrt(11.0 * 2.1), rel=2e-3)
     assert np.array_equal(np.delete(moved, k), np.delete(p, k))
-    assert model.limits.broken(p)
-    assert not model.limits.broken(moved)
+    assert model.limits.violated(p)
+    assert not model.limits.violated(moved)
 
 
 def test_where_nothing_is_violated_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:

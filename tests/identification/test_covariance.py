@@ -158,7 +158,7 @@ def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> No
     found = []
     for sums in (SumsInC(c_compiler), SumsInNumPy()):
         table, products = np.zeros((len(windows.first), 7)), bands.copy()
-        sums.tested(windows, entries, kind, target, table)
+        sums.weighted(windows, entries, kind, target, table)
         sums.products(windows.first, felt, products)
         right = np.random.default_rng(7).standard_normal((50, 11))
         found.append((table, products, sums.solved(factor, right)))
@@ -172,5 +172,5 @@ def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler
     entries.data[60:] = np.nan
     table = np.zeros((len(windows.first), 1))
     place = np.zeros(len(entries.row), dtype=np.intp)
-    SumsInC(c_compiler).tested(windows, entries, place, place, table)
+    SumsInC(c_compiler).weighted(windows, entries, place, place, table)
     assert np.isfinite(table[windows.first + windows.weights.shape[2] <= 60]).all()

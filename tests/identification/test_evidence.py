@@ -140,7 +140,7 @@ def test_blocks_are_as_long_as_what_they_hold_needs_to_forget_itself() -> None:
     rows = len(data.rows)
     for memory, longest in ((0.01, 5.0), (4.0, 20.0)):
         series = _wandering(data, memory, rng, 100).reshape(-1, rows, 100).sum(axis=1)
-        lengths = [data.forgetful(s) for s in series.T]
+        lengths = [data.uncorrelated_seconds(s) for s in series.T]
         assert np.median(lengths) <= longest
         assert np.median(lengths) > 0.5 * longest
 
@@ -182,7 +182,7 @@ def _chance_of_slow(rng: np.random.Generator, size: float, *, longer: bool) -> f
     x = own[0][:, best]
     change = (x @ r[0]) / (x @ x) * x
     score = ((r[0] - change) * change).reshape(-1, len(train.rows)).sum(axis=1)
-    times = round(train.forgetful(score) / train.block_seconds)
+    times = round(train.uncorrelated_seconds(score) / train.block_seconds)
     return NullDistributions(found, bench).p_value(falls[best], max(1, times) if longer else 1)
 
 
@@ -207,7 +207,7 @@ def _by_rank(rng: np.random.Generator, memory: float, size: float) -> float:
     bench = cast("Bench", SimpleNamespace(train=train, test=test))
     r = [_wandering(d, memory, rng, 1)[:, 0] + size for d in (train, test)]
     left = (r[0] - r[0].mean()).reshape(-1, len(train.rows)).sum(axis=1)
-    times = max(1, round(train.forgetful(left) / train.block_seconds))
+    times = max(1, round(train.uncorrelated_seconds(left) / train.block_seconds))
     tables = (
         Blocks.of(np.ones((len(d.time), 1)), np.zeros(len(d.time)), y, d.block)
         for d, y in zip((train, test), r, strict=True)

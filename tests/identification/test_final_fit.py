@@ -17,7 +17,7 @@ from undertow.codegen.functions import Functions
 from undertow.identification.api import Estimator
 from undertow.identification.diagnosis.addition import add_effect, best_predicting, set_up_addition
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.fitted import held_by_size, notes, unknown_scales
+from undertow.identification.estimation.fitted import held_by_default_prior, notes, unknown_scales
 from undertow.identification.estimation.output_error import (
     OutputErrorFit,
     final_fit,
@@ -180,7 +180,7 @@ def test_the_default_prior_does_not_move_what_data_determine(vehicle: str) -> No
     without = fit_weak(stated.with_values(free), data)
     for name, value in without.values.items():
         assert fit.values[name] == pytest.approx(value, abs=0.1 * without.standard_errors[name])
-    assert held_by_size(fit) == []
+    assert held_by_default_prior(fit) == []
     assert notes(fit) == []
 
 

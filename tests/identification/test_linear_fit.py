@@ -12,7 +12,7 @@ from tests.quick import first_quick, quick_if
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.paper.regression import LinearFit
@@ -43,15 +43,15 @@ def fit(compiled: bool) -> LinearFit:
     return LinearFit(functions(), NAMES, compiled=compiled)
 
 
-def reduced(logs: Sequence[Samples], compiled: bool) -> Triangle:
+def reduced(logs: Sequence[Samples], compiled: bool) -> TriangularFactor:
     """All samples of some logs as one triangle."""
-    triangle = Triangle(len(NAMES))
+    triangle = TriangularFactor(len(NAMES))
     for log in logs:
         triangle.add(*fit(compiled).triangle(log))
     return triangle
 
 
-def estimates(triangle: Triangle) -> np.ndarray:
+def estimates(triangle: TriangularFactor) -> np.ndarray:
     H, target = triangle.split()
     size = np.linalg.norm(H, axis=0)
     return np.linalg.lstsq(H / size, target, rcond=None)[0] / size

@@ -51,8 +51,8 @@ def test_a_disturbance_is_told_from_what_the_parameters_do(kind: str, gain: floa
         strength = np.median([f.disturbance["u"] for f in fits])
         assert strength == pytest.approx((0.3 / 9.130825) ** 2 * 0.1, rel=0.35)
     else:
-        wander = np.median([f.wander["u"] for f in fits])
-        assert wander == pytest.approx((0.008 / 9.130825) ** 2 / 0.1, rel=1.0)
+        random_walk = np.median([f.random_walk["u"] for f in fits])
+        assert random_walk == pytest.approx((0.008 / 9.130825) ** 2 / 0.1, rel=1.0)
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_three_degrees_of_freedom_with_pose_and_an_own_state() -> None:
     assert fit.values["T_lag"] == pytest.approx(true, abs=4 * fit.standard_errors["T_lag"])
     assert isinstance(fit, PredictionErrorFit)
     # Two runs: no window goes on from the end of one to the start of the other.
-    assert int(np.sum(fit.passed.window == 0)) == 12
+    assert int(np.sum(fit.innovations.window == 0)) == 12
 
 
 def test_a_pose_alone_is_enough() -> None:

@@ -13,7 +13,7 @@ import pytest
 from tests.identification.surge import surge_vehicle
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.identification.logs.chunks import LongLog, long_logs
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log, read_logs
@@ -172,7 +172,7 @@ def test_two_hundred_thousand_rows_in_constant_memory(tmp_path: Path) -> None:
 
 def test_a_triangle_holds_no_more_than_its_factor() -> None:
     rng = np.random.default_rng(0)
-    triangle, H, y = Triangle(3), [], []
+    triangle, H, y = TriangularFactor(3), [], []
     for _ in range(50):
         H.append(rng.standard_normal((40, 3)) * [1.0, 1e4, 1e-3])
         y.append(rng.standard_normal(40))

@@ -17,7 +17,7 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.files import check_folder, write_whole
-from undertow.identification.estimation.step import bounds_of, physical
+from undertow.identification.estimation.step import bounds_of, nearest_physical
 from undertow.model.parameter import printed
 from undertow.model.units import short_unit
 from undertow.typing import Progress
@@ -355,7 +355,7 @@ def _moved(job: Job, panel: Panel, days: Sequence[Day]) -> Job:
     model = panel.base
     p, places, bounds = np.array(model.functions.values(), dtype=float), list(model.places), bounds_of(model)
     p[places] = np.clip(p[places] + found.theta, *bounds)
-    p = physical(model, p, bounds)
+    p = nearest_physical(model, p, bounds)
     values: tuple[tuple[str, Any], ...] = tuple(zip(panel.free, p[places].tolist(), strict=True))
     return with_fingerprint(replace(job, values=values))[0]
 

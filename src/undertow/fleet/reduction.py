@@ -16,11 +16,11 @@ from undertow.files import sha256_of
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
-from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.weak_form import (
-    first_guess,
     free_parameters,
+    initial_disturbance,
     matched_disturbance,
     start_fit,
     with_process_noise,
@@ -117,7 +117,7 @@ class Panel:
 
     def _noise(self, data: WeakData, p: Array) -> list[Whitening]:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
-        first = first_guess(self.base, data, p)
+        first = initial_disturbance(self.base, data, p)
         sensor_noise = self.base.whitening(data, p)
         fit = start_fit(self.base, data, {}, with_process_noise(sensor_noise, first, data), first, steps=1)
         return with_process_noise(sensor_noise, matched_disturbance(fit, sensor_noise), data)
@@ -292,7 +292,7 @@ def reduce_log(job: Job, path: str, sha256: str = "") -> Reduced:
 
 def reduce_runs(runs: Iterable[Run], panel: Panel, where: str, *, trust_log: bool = False) -> Reduced:
     """Reduce the parts of a log; an impossible one is refused, unless it is trusted."""
-    triangle, samples, seconds, refusal = Triangle(len(panel.daily) + len(panel.names)), 0, 0.0, ""
+    triangle, samples, seconds, refusal = TriangularFactor(len(panel.daily) + len(panel.names)), 0, 0.0, ""
     for run in runs:
         samples, seconds = samples + len(run.t), seconds + float(run.t[-1] - run.t[0])
         try:

@@ -99,7 +99,7 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
         shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
         p = centre.copy()
         p[places] = np.clip(centre[places] + shift, low, high)
-        if not model.limits.broken(p):
+        if not model.limits.violated(p):
             found.append(p)
         if len(found) == count:
             return np.array(found), spread.source
@@ -147,17 +147,17 @@ def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
     """Reported trajectories, shape (count, k, 2n)."""
-    prompt = not predictor.sensor_delay.present and predictor.sensors_are_true
+    prompt = not predictor.sensor_delay.present and predictor.ideal_sensors
     if not prompt or len(predictor.functions.state_names) > len(window.names):
         return np.concatenate([_path(predictor, window, one, by) for one, by in zip(p, shift, strict=True)])
-    start, drive = predictor.start_and_drive(window, p[0])
+    start, drive = predictor.start_and_commands(window, p[0])
     states = predictor.simulator.run(start + shift, drive.t[0], drive.held[0], p)
     return drive.at_samples(states)[:, :, : len(window.names)]
 
 
 def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
     """The same for one vehicle whose sensors or own states depend on the parameters."""
-    _, drive = predictor.start_and_drive(window, p)
+    _, drive = predictor.start_and_commands(window, p)
     motion = predictor.measured_motion(window, drive.u, p) + shift
     return predictor.reports(window, p, motion)
 

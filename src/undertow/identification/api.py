@@ -30,7 +30,7 @@ from .estimation.output_error import LossName, final_fit, fit_output_error
 from .estimation.prediction_error import fit_prediction_error
 from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
-from .estimation.step import NOTHING_SAID, Constraints, read_equalities, require_equations, written
+from .estimation.step import UNDETERMINED, Constraints, read_equalities, require_equations, written_equalities
 from .estimation.test_functions import boxes, test_functions
 from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
@@ -184,7 +184,7 @@ class Refit:
                 "parameter": [e.name for e in found],
                 "value": [e.value for e in found],
                 "standard_error": [e.standard_error for e in found],
-                "bound": [least[e.name] if least[e.name] < NOTHING_SAID else None for e in found],
+                "bound": [least[e.name] if least[e.name] < UNDETERMINED else None for e in found],
                 "unit": [e.unit for e in found],
                 "before": [e.prior for e in found],
                 "t": [t[e.name] for e in found],
@@ -256,7 +256,7 @@ class Refit:
         e = self.estimator
         parts = [f"undertow fit --method {e.method}", *([] if e.loss == "gaussian" else [f"--loss {e.loss}"])]
         parts += [] if e.horizon in (None, Estimator.horizon) else [f"--horizon {e.horizon:.9g}"]
-        parts += [f'--equal "{text}"' for text in written(e.constraints.equal, self.stated)]
+        parts += [f'--equal "{text}"' for text in written_equalities(e.constraints.equal, self.stated)]
         return " ".join([*parts, *(["--dissipative"] if e.constraints.dissipative else [])])
 
     def __repr__(self) -> str:

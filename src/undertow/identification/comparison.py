@@ -27,7 +27,7 @@ from .estimation.inputs import ActuatorStates, Memory
 from .estimation.pointwise import Pointwise
 from .estimation.predictor import Predictor, predict_each
 from .estimation.residual import SensorDelay, WeakModel, value_name, whitened
-from .estimation.weak_form import adapted, of_each_run
+from .estimation.weak_form import adapted, per_run_parameters
 from .estimation.windows import Prediction, cut, possible_horizon, prediction_error
 from .findings import LongLogs, ResultTable
 from .logs.pose_velocity import as_reported
@@ -82,10 +82,10 @@ class _Evaluation:
         known = {
             value_name(name, run.origin): vehicle.value_of(name).value
             for run, vehicle in zip(data.runs, vehicles, strict=True)
-            for name in of_each_run(vehicle)
+            for name in per_run_parameters(vehicle)
         }
         self._weak = WeakModel(functions, (), known=known)
-        self._run_parameters = [self._weak.values.own(self.p, run) for run in data.runs]
+        self._run_parameters = [self._weak.values.of_run(self.p, run) for run in data.runs]
         self._points = Pointwise(functions, ())
         self._chain = ActuatorStates(functions, ())
         self._sensor_delay = SensorDelay(functions)

@@ -37,7 +37,7 @@ from .diagnosis.verdict import values_by_run
 from .doctor.dynamics import without_refuted
 from .doctor.examine import examine
 from .estimation.data import inverse_of, prepare
-from .estimation.fitted import SURE, Fitted
+from .estimation.fitted import SIGNIFICANT_T, Fitted
 from .estimation.step import estimated, follower_errors, followers
 from .estimation.weak_form import WeakFit
 from .findings import Examination
@@ -496,7 +496,7 @@ class CombinedFits:
             for name in (n for n in first.values if n in other.values):
                 difference = abs(first.values[name] - other.values[name])
                 spread = float(np.hypot(first.standard_errors[name], other.standard_errors[name]))
-                if difference > SURE * spread:
+                if difference > SIGNIFICANT_T * spread:
                     places = [listed(f.model.functions.vehicle.degrees_of_freedom) for f in (first, other)]
                     yield (
                         f"{name} is {first.values[name]:.4g} by {places[0]} and {other.values[name]:.4g} by "

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from undertow.errors import UndertowError
 from undertow.identification.doctor.examine import refuse_impossible
-from undertow.identification.estimation.fitted import Triangle, base_parameters, undetermined
+from undertow.identification.estimation.fitted import TriangularFactor, base_parameters, undetermined
 from undertow.identification.estimation.step import estimated
 from undertow.identification.logs.chunks import LogPart, LongLog, NeedsWhole, outline
 from undertow.identification.logs.run import Run
@@ -112,13 +112,13 @@ def _motion(vehicle: Vehicle, run: Run) -> str:
 
 def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Estimation:
     """Estimates of one motion after one case of smoothing."""
-    triangle = Triangle(len(experiment.regression.free))
+    triangle = TriangularFactor(len(experiment.regression.free))
     for run in experiment.runs:
         experiment.regression.take(triangle, run, case, edges)
     return estimated_by(experiment, case, triangle)
 
 
-def estimated_by(experiment: Experiment, case: Case, triangle: Triangle) -> Estimation:
+def estimated_by(experiment: Experiment, case: Case, triangle: TriangularFactor) -> Estimation:
     """Estimates from the rows of one case that a triangle holds."""
     regression = experiment.regression
     H, target = triangle.split()
@@ -267,7 +267,7 @@ def estimate_streaming(
     overlap = _overlap(cases, edges)
     seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
     found = experiments(vehicle, seen, trust_log=True)  # outlines only: each part is looked at
-    reduced = [{c.name: Triangle(len(e.regression.free)) for c in cases} for e in found]
+    reduced = [{c.name: TriangularFactor(len(e.regression.free)) for c in cases} for e in found]
     for k, (log, outlined) in enumerate(zip(logs, seen, strict=True)):
         progress(0.3 + 0.7 * k / len(logs), f"reducing {log.path.name}")
         place = next(i for i, e in enumerate(found) if any(run is outlined for run in e.runs))
@@ -304,7 +304,7 @@ def _reduce(
     parts: Iterator[LogPart],
     cases: Sequence[Case],
     edges: Edges,
-    triangles: Mapping[str, Triangle],
+    triangles: Mapping[str, TriangularFactor],
     trust_log: bool,
 ) -> None:
     """Take the rows of a log into the triangles, one for each case."""

@@ -15,7 +15,7 @@ from undertow.codegen.compiler import compiled_or_virtual
 from undertow.codegen.functions import Functions
 from undertow.codegen.gram import CompiledRows, Sums, VirtualRows, layout
 from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import Triangle
+from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.identification.logs.opening import constant_channels
 from undertow.identification.logs.run import Run
@@ -253,7 +253,7 @@ class Regression:
         self._fit = LinearFit(self.functions, self.free)
         self._places = [self.functions.parameter_names.index(n) for n in self.free]
 
-    def take(self, triangle: Triangle, run: Run, case: Case, edges: Edges) -> None:
+    def take(self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges) -> None:
         """Take in a run whose velocity and acceleration are smoothed as a case says."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
@@ -261,7 +261,7 @@ class Regression:
         self._take(triangle, run, pieces, case, edges)
 
     def take_between(
-        self, triangle: Triangle, run: Run, case: Case, edges: Edges, after: float, until: float
+        self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges, after: float, until: float
     ) -> None:
         """The same of a part of a log, which may have no segment that is long enough: after < t <= until."""
         self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
@@ -279,7 +279,7 @@ class Regression:
 
     def _take(
         self,
-        triangle: Triangle,
+        triangle: TriangularFactor,
         run: Run,
         pieces: list[slice],
         case: Case,
@@ -459,7 +459,7 @@ class LinearFit:
         return columns
 
     def _by_reflections(self, columns: list[Array]) -> tuple[Array, int]:
-        triangle = Triangle(len(self.names))
+        triangle = TriangularFactor(len(self.names))
         for first in range(0, len(columns[0]) if columns else 0, _BLOCK):
             triangle.add(*self._rows.build([c[first : first + _BLOCK] for c in columns], self._p))
         return triangle.factor, triangle.count

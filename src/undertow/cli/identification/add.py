@@ -94,7 +94,7 @@ def add(
 
 def show(addition: Addition) -> None:
     """Say what the effect does to the error, and with which values."""
-    from undertow.identification.estimation.step import NOTHING_SAID
+    from undertow.identification.estimation.step import UNDETERMINED
     from undertow.identification.report.results import addition_sentence
     from undertow.identification.report.sentences import shown
 
@@ -109,7 +109,7 @@ def show(addition: Addition) -> None:
     section("Error on validation data: of the force, and of velocities ahead", table(heads, rows))
     errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
     for name in addition.kept:
-        spread = f"± {errors[name]:.1g} " if errors[name] < NOTHING_SAID else ""
+        spread = f"± {errors[name]:.1g} " if errors[name] < UNDETERMINED else ""
         say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
     if addition.dropped:
         say(f"left out (zero within their error, or predicting no better): {', '.join(addition.dropped)}")

@@ -220,7 +220,7 @@ def _process_noise(fit: Fitted) -> list[str]:
     if not isinstance(fit, PredictionErrorFit):
         return []
     quick = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.disturbance.items())
-    slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.wander.items())
+    slow = ", ".join(f"{name} {np.sqrt(strength):.2g}" for name, strength in fit.random_walk.items())
     return [
         f"the disturbance changes velocities by {quick} in one second (SI); its slow part varies by {slow} "
         "in acceleration"

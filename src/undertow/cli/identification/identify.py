@@ -199,13 +199,13 @@ def _verdict(estimations: Sequence[Estimation]) -> str:
 
 
 def _doubts(experiment: Experiment, estimations: Sequence[Estimation]) -> list[str]:
-    from undertow.identification.estimation.fitted import SURE, t_values
+    from undertow.identification.estimation.fitted import SIGNIFICANT_T, t_values
     from undertow.paper.least_squares import selected
 
     lines = []
     pick = selected(estimations)
     for name, t in t_values(pick).items() if pick else ():
-        if t < SURE:
+        if t < SIGNIFICANT_T:
             lines.append(f"{name} is not determined by this experiment: |t| = {t:.2f}")
     rate = experiment.axis.rate
     lacking = [run.name for run in experiment.runs if not run.has(rate)]

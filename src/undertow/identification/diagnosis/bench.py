@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.data import WeakData, Whitening, numbered
+from undertow.identification.estimation.data import WeakData, Whitening, group_numbers
 from undertow.identification.estimation.fitted import Fitted, stated_by_run
 from undertow.identification.estimation.residual import (
     Linearised,
@@ -20,7 +20,7 @@ from undertow.identification.estimation.residual import (
     whitened,
     with_values_by_run,
 )
-from undertow.identification.estimation.step import moved
+from undertow.identification.estimation.step import prior_distance
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     estimation_part_factor,
@@ -30,7 +30,7 @@ from undertow.identification.estimation.weak_form import (
     free_parameters,
     mean_square,
     used_in_estimation,
-    values_in,
+    values_in_runs,
     with_process_noise,
     with_reestimated_noise,
 )
@@ -109,7 +109,7 @@ class Bench:
         That indicates a missing effect; with it, the stated values are the better start. Else empty.
         """
         model = self.base.model
-        if not np.any(moved(model, self.base.p) > self.settings.far_from_prior):
+        if not np.any(prior_distance(model, self.base.p) > self.settings.far_from_prior):
             return {}
         values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}
@@ -132,7 +132,7 @@ class Bench:
         """A residual, raised where a fit used data of a run to the level of the rest of that run."""
         data = self.test
         first = used_in_estimation(fit, data.runs, data.run_of, data.time)
-        return r * np.sqrt(estimation_part_factor(r**2, first, numbered(data.run_of, data.equation)))
+        return r * np.sqrt(estimation_part_factor(r**2, first, group_numbers(data.run_of, data.equation)))
 
     @cached_property
     def _first_parts(self) -> list[WeakData]:
@@ -146,7 +146,7 @@ class Bench:
         """A fit with values in the validation runs for the parameters with a value per run."""
         if not fit.model.values.split:
             return fit
-        return replace(fit, model=fit.model.knowing(values_in(fit, self._first_parts)))
+        return replace(fit, model=fit.model.with_known_values(values_in_runs(fit, self._first_parts)))
 
     def on_train(self, fit: WeakFit) -> Linearised:
         """A fitted model on the training data, under the noise model of the bench."""

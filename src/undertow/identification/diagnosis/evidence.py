@@ -384,7 +384,7 @@ def block_length_factor(trial: Trial, residual: Array, bench: Bench) -> int:
     data, change = bench.train, bench.base.at.r - bench.on_train(trial.fit).r
     score = (residual * change).reshape(-1, len(data.rows)).sum(axis=1)
     longest = data.seconds / bench.settings.slow_blocks
-    return max(1, round(min(data.forgetful(score), longest) / data.block_seconds))
+    return max(1, round(min(data.uncorrelated_seconds(score), longest) / data.block_seconds))
 
 
 def p_value(fall: float, by_chance: Array) -> float:

@@ -191,7 +191,7 @@ class ForceRows:
     def trajectories(self) -> list[tuple[Segment, Trajectory, Array]]:
         """Every segment with motion and commands at its samples, and its mass matrix (N, n, n)."""
         model, data = self._fit.model, self.data
-        own = [model.values.own(self._fit.p, run) for run in data.runs]
+        own = [model.values.of_run(self._fit.p, run) for run in data.runs]
         actuators, motion = ActuatorStates(model.functions, ()), self._motion
         delay, each = SensorDelay(model.functions), zip(data.runs, data.held, own, strict=True)
         actuation_of_run = [actuators.along(r.t, u, p).value for r, u, p in each]

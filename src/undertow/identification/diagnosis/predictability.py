@@ -402,7 +402,7 @@ class _Force:
 
 def _blocks(table: _Table, log: _Log) -> Index:
     """Number of the independent block of time of every row."""
-    block = log.clock.blocks(log.rows.data.forgetful(table.force))[table.row]
+    block = log.clock.blocks(log.rows.data.uncorrelated_seconds(table.force))[table.row]
     return np.asarray(np.unique(block, return_inverse=True)[1])
 
 

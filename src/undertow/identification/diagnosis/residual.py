@@ -399,7 +399,7 @@ class Characteriser:
             self.rows[dof].whitened(level, second),
             self.rows[dof].whitened(0.0, second),
         ]
-        seconds = self._validation.data.forgetful(tables[0].r)
+        seconds = self._validation.data.uncorrelated_seconds(tables[0].r)
         blocks = [c.blocks(seconds) for c in (*self._clocks, self._clocks[1])]
         samples = [Sample(t.r, t.J[:, :own], t.J[:, own:], b) for t, b in zip(tables, blocks, strict=True)]
         return Association((*self._terms, *further), Samples(*samples), self._stiffness(dof))

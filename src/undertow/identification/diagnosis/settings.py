@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import NamedTuple, TypeVar
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.fitted import MORE_THAN_CHANCE, SURE
+from undertow.identification.estimation.fitted import MORE_THAN_CHANCE, SIGNIFICANT_T
 
 T = TypeVar("T")
 _NEVER, _ALWAYS = float("inf"), float("-inf")
@@ -114,7 +114,7 @@ class Settings:
         4.0, "|t| below which the search drops a parameter", "one false positive in 15 000", off=0.0
     )
     t_in_last_fit: float = _field(
-        SURE, "|t| below which the last fit drops a parameter", "as in `estimation.fitted`", off=4.0
+        SIGNIFICANT_T, "|t| below which the last fit drops a parameter", "as in `estimation.fitted`", off=4.0
     )
     finer_noise_share: float = _field(
         0.5, "remaining fraction of the sum of squares below which a candidate gets its own noise model",

@@ -31,7 +31,7 @@ from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
     predicted_cost,
-    separated,
+    split_between_runs,
     start_fit,
     with_reestimated_noise,
 )
@@ -111,7 +111,7 @@ def _by_run_if_significant(candidate: Candidate, fit: WeakFit, bench: Bench, tol
         if least_differing(fit.model, values, fit.covariance, [split])[1] < BETWEEN_RUNS.chance:
             return bench.in_all_runs(with_reestimated_noise(fit))
         fit = bench.fit(candidate.model(), start=fit.values, tolerance=tolerance)
-    return bench.in_all_runs(separated(fit, own))
+    return bench.in_all_runs(split_between_runs(fit, own))
 
 
 def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
@@ -141,7 +141,7 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], tolerance:
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
     return fit_weak(
-        candidate.model(free).knowing(fit.model.values.known),
+        candidate.model(free).with_known_values(fit.model.values.known),
         fit.data,
         start=start,
         whitening=fit.whitening,
@@ -317,7 +317,7 @@ def _candidate_columns(
     """The model with a candidate at a start, linearised in the candidate's own parameters only."""
     base = bench.base.model.values
     by_run = {n: bench.base.values[n] for n in base.split} | base.known
-    model = candidate.model(tuple(p.name for p in candidate.parameters)).knowing(by_run)
+    model = candidate.model(tuple(p.name for p in candidate.parameters)).with_known_values(by_run)
     names = model.functions.parameter_names
     stated = {n: model.functions.vehicle.value_of(n).value for n in names}
     values = stated | bench.base.values | dict(start)
@@ -393,5 +393,5 @@ def unpacked(found: PackedTrial, candidate: Candidate, bench: Bench) -> Trial:
 
 def _unpacked_fit(fit: _PackedFit, candidate: Candidate, bench: Bench) -> WeakFit:
     whitening = bench.train_whitening if fit.whitening is None else fit.whitening
-    model = candidate.model(fit.free).knowing(fit.known)
+    model = candidate.model(fit.free).with_known_values(fit.known)
     return WeakFit(model, fit.p, bench.train, whitening, fit.at, fit.disturbance, fit.iterations)

@@ -496,7 +496,7 @@ class SimulationValidator:
         except UndertowError:  # the simulation of a poor model may diverge
             return weak
         # Values estimated from the validation runs themselves remain.
-        return replace(refined, model=refined.model.knowing(weak.model.values.known))
+        return replace(refined, model=refined.model.with_known_values(weak.model.values.known))
 
 
 def _parameter_count(effect_set: EffectSet) -> int:

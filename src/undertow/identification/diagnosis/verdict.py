@@ -9,11 +9,11 @@ from math import inf
 import numpy as np
 
 from undertow.errors import UndertowError, listed
-from undertow.identification.estimation.fitted import SURE, BetweenRuns, Fitted
+from undertow.identification.estimation.fitted import SIGNIFICANT_T, BetweenRuns, Fitted
 from undertow.identification.estimation.residual import plain
 from undertow.identification.estimation.step import (
-    NOTHING_SAID,
     PRIOR_WIDTH,
+    UNDETERMINED,
     bounded_step,
     bounds_of,
     prior_of,
@@ -199,7 +199,7 @@ def _has_determined_parameter(finding: FoundEffect) -> bool:
     """Whether any parameter of an effect is known to differ from zero."""
     fit = finding.trial.fit
     own = [n for n in fit.model.free if plain(n) in finding.parameters]
-    return any(abs(fit.values[n]) > SURE * fit.standard_errors[n] for n in own)
+    return any(abs(fit.values[n]) > SIGNIFICANT_T * fit.standard_errors[n] for n in own)
 
 
 def _doubt(share: float, left: Remainder, settings: Settings) -> str:
@@ -316,7 +316,7 @@ def _effect_of(vehicle: Vehicle, name: str) -> str:
 
 def _determined(standard_error: float) -> float | None:
     """A standard error, unless the data carry no information on the parameter."""
-    return standard_error if standard_error < NOTHING_SAID else None
+    return standard_error if standard_error < UNDETERMINED else None
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:

@@ -27,10 +27,10 @@ from .test_functions import (
     boxes,
     kink_delay,
     knot_spacing,
-    meeting,
     products,
     solved,
     test_functions,
+    weights_and_equation,
 )
 
 
@@ -39,10 +39,10 @@ from .test_functions import (
 class ClusterSettings:
     """Settings that define independent time blocks."""
 
-    forgotten: float = 0.3  # autocorrelation below which a series has forgotten its past
-    spreads: float = 2.0  # the same for short series, in standard deviations of that of white noise
-    memories: float = 3.0  # length of an independent segment in units of that time
-    fewest: int = 6  # segments that there have to be, however long the memory
+    correlation_limit: float = 0.3  # autocorrelation below which a series counts as uncorrelated
+    white_noise_sigmas: float = 2.0  # the same for short series, in standard deviations of white noise
+    cluster_lengths: float = 3.0  # length of an independent cluster in correlation lengths
+    fewest: int = 6  # least number of clusters, however long the correlation
 
 
 CLUSTERS = ClusterSettings()
@@ -55,9 +55,9 @@ def inverse_of(information: Array) -> Array:
     return np.linalg.inv(scaled) * np.outer(scale, scale)
 
 
-def memory(series: Array) -> int:
+def correlation_length(series: Array) -> int:
     """Lag beyond which a series (K,) is uncorrelated; 1 for white noise."""
-    limit = max(CLUSTERS.forgotten, CLUSTERS.spreads / np.sqrt(max(len(series), 1)))
+    limit = max(CLUSTERS.correlation_limit, CLUSTERS.white_noise_sigmas / np.sqrt(max(len(series), 1)))
     covariance = np.correlate(series, series, "full")[len(series) - 1 :]
     return int(np.argmax(covariance < limit * covariance[0])) or len(series)
 
@@ -84,7 +84,7 @@ def clustered(information: Array, scores: Array) -> Array:
 
 def _variance(series: Array) -> float:
     """Variance of the sum of a series, from uncorrelated clusters of neighbours."""
-    longer = int(CLUSTERS.memories * (memory(series) - 1))
+    longer = int(CLUSTERS.cluster_lengths * (correlation_length(series) - 1))
     size = max(1, min(longer, len(series) // CLUSTERS.fewest))
     return float(np.sum(np.add.reduceat(series, np.arange(0, len(series), size)) ** 2))
 
@@ -101,15 +101,14 @@ class NoiseSettings:
     even: float = 0.2  # share of the usual step by which a step may be another and count as the same
     # Differences of the lowest order over such steps that give a standard deviation to a tenth; of a
     # short log half of them do.
-    in_row: int = 100
+    consecutive: int = 100
     # Standard errors, in units of 1 / sqrt(samples), by which a higher order has to be lower.
-    clearly: float = 4.0
-    # No channel counts as better known than this share of its change in 1 s: quadrature over samples is not
-    # exact.
+    order_margin: float = 4.0
+    # Least noise of a channel, as a share of its change in 1 s: quadrature over samples is not exact.
     least: float = 2e-3
-    # Standard deviation of a doubted sample, in those of the others: it weighs a thousandth, and the
+    # Standard deviation of a downweighted sample, in those of the others: its weight is a thousandth, and the
     # covariance of the residual stays well conditioned.
-    doubt: float = 30.0
+    downweighting: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ class RateSettings:
     degree: int = 3
     places: int = 300  # samples at which the widths are tried
     # Square of what a fit leaves, relative to what noise leaves, from which it bends the signal.
-    bent: float = 1.2
+    misfit_limit: float = 1.2
 
 
 @dataclass(frozen=True)
@@ -132,8 +131,8 @@ class BlockSettings:
     # Knots this many time constants of the smoother apart see next to nothing of what it smooths away: there
     # a cubic B-spline has its first zero in frequency.
     knots_per_resolution: float = 2 * np.pi
-    # Knots this many times between reports of the slowest velocity apart: what lies between reports is no
-    # news, and over two of them their noise is as good as white.
+    # Knots this many times between reports of the slowest velocity apart: values between
+    # reports carry no information, and over two of them their noise is nearly white.
     knots_per_report: float = 2.0
     blocks: int = 24
     longest: float = 5.0  # s
@@ -165,12 +164,12 @@ def residual_covariance(
     n, entries = sigma.shape[-1] // 2, _by_equation(slopes, sigma.shape[-1] // 2)
     # The noise of a rate is that of its pose.
     direct = {c: sigma[..., c] for c in range(2 * n) if c not in derived}
-    bands = _in_pieces(
+    bands = _in_batches(
         functions.supports, rows, direct, lambda w: (w.first, _sensitivity(w, entries, rows, direct))
     )
     if derived and t is not None:
         levels = {c: sigma[..., c - n] for c in derived}
-        rates = _in_pieces(
+        rates = _in_batches(
             functions.supports,
             rows,
             levels,
@@ -180,7 +179,7 @@ def residual_covariance(
     return bands
 
 
-def _in_pieces(
+def _in_batches(
     windows: Supports,
     rows: Sequence[int],
     levels: Mapping[int, Array],
@@ -201,7 +200,7 @@ def _in_pieces(
 
 def _by_equation(slopes: Entries, n: int) -> list[tuple[int, int, int, Array]]:
     """Which weights, equation and channel each entry belongs to, and its values at the samples."""
-    kind, equation = meeting(slopes.row, n)
+    kind, equation = weights_and_equation(slopes.row, n)
     return list(zip(kind, equation, slopes.column, np.ascontiguousarray(slopes.data.T), strict=True))
 
 
@@ -276,8 +275,8 @@ def white_noise(t: Array, y: Array) -> float:
     one mistakes a fast signal for noise.
     """
     known = noise_by_order(t, y)
-    clearly = 1.0 + NOISE.clearly / np.sqrt(len(y))
-    return next((f for f in known if f <= clearly * min(known)), 0.0)
+    order_margin = 1.0 + NOISE.order_margin / np.sqrt(len(y))
+    return next((f for f in known if f <= order_margin * min(known)), 0.0)
 
 
 def noise_by_order(t: Array, y: Array) -> list[float]:
@@ -290,20 +289,20 @@ def noise_by_order(t: Array, y: Array) -> list[float]:
         return []
     steps, there = np.diff(t), np.isfinite(y)
     even = np.abs(steps - np.median(steps)) < NOISE.even * np.median(steps)
-    if np.count_nonzero(_in_row(even, orders[0])) < min(NOISE.in_row, len(y) // 2):
+    if np.count_nonzero(_over_even_steps(even, orders[0])) < min(NOISE.consecutive, len(y) // 2):
         return [report_noise(t[there], y[there], k) for k in orders]
     found = [_by_difference(y, even, k) for k in orders]
     return [f for f in found if np.isfinite(f)]
 
 
-def _in_row(even: Flags, order: int) -> Flags:
+def _over_even_steps(even: Flags, order: int) -> Flags:
     """Which differences of an order are over even steps."""
     return np.convolve(even, np.ones(order), mode="valid") > order - 0.5
 
 
 def _by_difference(y: Array, even: Flags, order: int) -> float:
     difference = np.diff(y, n=order)
-    kept = difference[_in_row(even, order) & np.isfinite(difference)]
+    kept = difference[_over_even_steps(even, order) & np.isfinite(difference)]
     if len(kept) < NOISE.fewest:
         return np.inf
     return float(np.sqrt(noise_variance(kept) / comb(2 * order, order)))
@@ -320,9 +319,9 @@ class Whitening:
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
         self._bands = covariance, overlap
-        self._take(intensity)
+        self._factorise(intensity)
 
-    def _take(self, intensity: Array) -> None:
+    def _factorise(self, intensity: Array) -> None:
         """Cholesky factor with a disturbance."""
         measured, white = self._bands
         if not np.any(intensity):
@@ -342,7 +341,7 @@ class Whitening:
     def with_disturbance(self, intensity: Array) -> Whitening:
         """The same noise with another disturbance."""
         other = copy(self)
-        other._take(intensity)
+        other._factorise(intensity)
         return other
 
     def __call__(self, right: Array) -> Array:
@@ -381,7 +380,7 @@ def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
     return banded(csr_array(kron(gram, eye_array(equations))))
 
 
-def around(at: Index, width: int, count: int) -> Index:
+def samples_around(at: Index, width: int, count: int) -> Index:
     """Indices of the 2 width + 1 samples around each instant, moved inwards at the ends of the signal."""
     first = np.clip(at - width, 0, count - 2 * width - 1)
     return np.asarray(first[:, None] + np.arange(2 * width + 1))
@@ -393,7 +392,7 @@ def local_polynomial(t: Array, y: Array, at: Index, width: int, degree: int) -> 
     `t` (N,) in s, `y` (N, c) without gaps, `at` (k,). Returns values, rates per s and sums of squared errors
     there, each (k, c).
     """
-    near = around(at, width, len(t))
+    near = samples_around(at, width, len(t))
     span = t[near[:, -1]] - t[near[:, 0]]
     place = (t[near] - t[at][:, None]) / span[:, None]
     design = place[:, :, None] ** np.arange(degree + 1)
@@ -410,21 +409,21 @@ def smooth_rate(t: Array, y: Array) -> Array:
     if len(t) <= 2 * RATES.widths[0]:
         return np.gradient(y, t, axis=0)
     rate, every = np.empty_like(y), np.arange(len(t))
-    width = _widest(t, y)
+    width = _widest_fit(t, y)
     for chosen in np.unique(width).tolist():
         columns = np.flatnonzero(width == chosen)
         rate[:, columns] = local_polynomial(t, y[:, columns], every, chosen, RATES.degree)[1]
     return rate
 
 
-def _widest(t: Array, y: Array) -> Index:
+def _widest_fit(t: Array, y: Array) -> Index:
     """Half-width of the widest fits that leave only noise at most instants, by signal."""
     noise = np.array([white_noise(t, column) for column in y.T])
     some = np.unique(np.linspace(0, len(t) - 1, RATES.places).astype(np.intp))
     found = np.full(y.shape[1], RATES.widths[0])
     for width in (w for w in RATES.widths if 2 * w < len(t)):
         misfit = local_polynomial(t, y, some, width, RATES.degree)[2]
-        found[np.median(misfit, axis=0) <= RATES.bent * noise**2 * (2 * width - RATES.degree)] = width
+        found[np.median(misfit, axis=0) <= RATES.misfit_limit * noise**2 * (2 * width - RATES.degree)] = width
     return found
 
 
@@ -441,7 +440,7 @@ class Segment:
     measured: Array  # (N, 2n) pose and velocity of the degrees of freedom; pose that the log lacks is zero
     u: Array  # (N, n_commands) commands
     functions: TestFunctions  # Test functions on the segment
-    doubted: Flags | None = None  # (N, 2n) samples that count as hardly known
+    downweighted: Flags | None = None  # (N, 2n) samples with a larger standard deviation
     reported: Flags | None = None  # (N, 2n) samples that were measured; None: all
 
     @property
@@ -460,7 +459,8 @@ class Segment:
         """
         if self.reported is not None:
             sigma = sigma * np.sqrt(len(self.t) / np.maximum(np.count_nonzero(self.reported, axis=0), 1))
-        return sigma if self.doubted is None else np.where(self.doubted, NOISE.doubt, 1.0) * sigma
+        flags = self.downweighted
+        return sigma if flags is None else np.where(flags, NOISE.downweighting, 1.0) * sigma
 
     @cached_property
     def kink_delay(self) -> Array:
@@ -541,7 +541,7 @@ class WeakData:
 
     @cached_property
     def block_seconds(self) -> float:
-        """Length of blocks: long compared with the memory of vehicles, short enough for many blocks."""
+        """Length of blocks: long compared with time constants of vehicles, short enough for many blocks."""
         return float(np.clip(self.seconds / BLOCKS.blocks, BLOCKS.shortest, BLOCKS.longest))
 
     @cached_property
@@ -554,23 +554,23 @@ class WeakData:
         start = np.array([r.t[0] for r in self.runs])[self.run_of]
         return blocks_of_time(self.time - start, seconds, self.run_of)
 
-    def forgetful(self, series: Array) -> float:
+    def uncorrelated_seconds(self, series: Array) -> float:
         """Length of blocks, s, between which a series (K,) by test function is uncorrelated, if there are
         enough of them.
         """
         step = float(np.median(np.diff(self.time[:: len(self.rows)])))
-        seconds = CLUSTERS.memories * memory(series) * step
+        seconds = CLUSTERS.cluster_lengths * correlation_length(series) * step
         return min(max(self.block_seconds, seconds), self.seconds / CLUSTERS.fewest)
 
 
-def numbered(*columns: Index | Array) -> Index:
+def group_numbers(*columns: Index | Array) -> Index:
     """Number of the group of each row, rows that are the same in all columns being one group."""
     return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
 
 
 def blocks_of_time(since: Array, seconds: float, *piece: Index | Array) -> Index:
     """Number of the block of time of each entry, by the time since its piece began, s; no block spans two."""
-    return numbered(*piece, since // seconds)
+    return group_numbers(*piece, since // seconds)
 
 
 def prepare(
@@ -582,7 +582,7 @@ def prepare(
     """
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for run in runs:
-        _require(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
+        _require_channels(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
     measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
     segments = [
         s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
@@ -605,12 +605,12 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
     step = min((r.step for r in runs if len(r.t) > 1), default=1.0)
     enough = (n for n in count(2) if family(step * np.arange(n, dtype=float), spacing) is not None)
     needed = next(enough) if spacing else 2
-    stretches = [
+    gap_free = [
         (int(np.count_nonzero((r.clock >= t[0]) & (r.clock <= t[-1]))), r)
         for r in runs
         for t in (*(r.t[p] for p in r.segments([*names])), np.array([np.inf]))
     ]
-    longest, run = max(stretches, key=lambda stretch: stretch[0])
+    longest, run = max(gap_free, key=lambda stretch: stretch[0])
     form = "integral form" if family is boxes else "weak form"
     why, remedy = "", ""
     if any(_spacing(r) > knot_spacing(r.clock) * BLOCKS.wider_for_derived for r in runs if len(r.t) > 1):
@@ -631,7 +631,7 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
     )
 
 
-def _require(run: Run, names: list[str], vehicle: str) -> None:
+def _require_channels(run: Run, names: list[str], vehicle: str) -> None:
     for name in names:
         if not run.has(name):
             raise UndertowError(
@@ -642,12 +642,7 @@ def _require(run: Run, names: list[str], vehicle: str) -> None:
 
 
 def _segments(
-    index: int,
-    run: Run,
-    names: tuple[str, ...],
-    pose: tuple[str, ...],
-    vehicle: Vehicle,
-    family: Family,
+    index: int, run: Run, names: tuple[str, ...], pose: tuple[str, ...], vehicle: Vehicle, family: Family
 ) -> list[Segment]:
     needed = [n for n in names if n in pose or n in vehicle.velocity_names]
     commands = run.matrix(vehicle.command_names)

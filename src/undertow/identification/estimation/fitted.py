@@ -20,19 +20,19 @@ from .pointwise import scale_directions
 from .residual import WeakModel, origins, plain, run_of
 from .step import at_bounds, default_weights, estimated, follower_errors, followers, prior_of
 
-# --- whether what nature changes differs between runs ---------------------------------------------
-# A current is sought as one value for all runs first. Values by run take its place where they differ by more
-# than chance: a Wald test of equality, with errors that are robust to what the model leaves. So runs that
-# agree cost nothing, neither precision nor power, and runs that do not are not averaged. A common mean with
-# a spread that is estimated would shrink in between, but two or three runs say next to nothing of a spread.
+# --- whether environmental parameters differ between runs -----------------------------------------
+# A current is estimated as one value for all runs first. It is replaced by values by run if these differ
+# significantly: a Wald test of equality, with errors that are robust to the residual. Thus runs that agree
+# cost neither precision nor power, and runs that do not are not averaged. A random-effects model with an
+# estimated spread would shrink the values, but two or three runs hardly determine a spread.
 
 
 @dataclass(frozen=True)
 class BetweenRunsSettings:
     """Settings of the test."""
 
-    # Chance that an effect whose runs agree gets values by run all the same. A diagnosis tries some ten such
-    # effects: one in a hundred has one too many then, which costs a little precision and no wrong name.
+    # False-alarm rate of the test for one effect. A diagnosis tries some ten such effects: in one of a
+    # hundred diagnoses an effect gets values by run needlessly, which costs a little precision.
     chance: float = 1e-3
 
 
@@ -111,8 +111,8 @@ def may_differ(
         return []
     vehicle, equal = model.functions.vehicle, model.functions.equal
     tied = {*equal, *(other for other, _ in equal.values())}
-    asked = [n for n in model.free if among is None or n in among]
-    names = [n for n in asked if n not in tied and not run_of(n) and vehicle.differs_between_runs(n)]
+    candidates = [n for n in model.free if among is None or n in among]
+    names = [n for n in candidates if n not in tied and not run_of(n) and vehicle.differs_between_runs(n)]
     owners = {vehicle.declaration(n).name: n for n in names}
     groups = (tuple(owners[q.name] for q in e.parameters if q.name in owners) for e in vehicle.all_effects)
     return [group for group in groups if group]
@@ -134,7 +134,7 @@ def least_differing(
     return worst, chances[worst]
 
 
-def table_of(model: WeakModel, values: Array, covariance: Array) -> tuple[BetweenRuns, ...]:
+def run_tables(model: WeakModel, values: Array, covariance: Array) -> tuple[BetweenRuns, ...]:
     """The parameters of a fit that have a value in every run; values (n_free,) with their covariance."""
     found = []
     for name, there in model.values.by_run.items():
@@ -144,7 +144,7 @@ def table_of(model: WeakModel, values: Array, covariance: Array) -> tuple[Betwee
     return tuple(found)
 
 
-def of_the_vehicle(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
+def averaging_matrix(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
     """Matrix (n_names, n_free) that takes values by run to their means, and leaves all others as they are."""
     rows = {t.parameter: t.weights for t in table}
     matrix = np.zeros((len(model.values.names), len(model.free)))
@@ -159,30 +159,30 @@ def of_the_vehicle(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
 class IdentifiabilitySettings:
     """Limits for calling parameters identified."""
 
-    # Share of the largest eigenvalue of the scaled information below which a direction is not seen at all.
-    unseen: float = 1e-10
-    touched: float = 1e-3  # part of a parameter in such directions from which it belongs to their group
+    # Share of the largest eigenvalue of the scaled information below which a direction is unobservable.
+    unobservable: float = 1e-10
+    membership: float = 1e-3  # part of a parameter in such directions from which it belongs to their group
     rounding: float = 1e-6
     zero: float = 2.0  # |t| below which a parameter could as well be zero
-    clear: float = 5.0  # |t| below which a parameter is known, but not well
+    weak_t: float = 5.0  # |t| below which a parameter is known, but not well
     # Correlation between the errors of two parameters beyond which only a combination of both is known,
     # unless each is this many standard errors from zero all the same.
-    tied: float = 0.95
-    untied: float = 10.0
-    # Share of what is known of a parameter from which the default prior holds it, not the data.
-    held: float = 0.5
+    correlated: float = 0.95
+    correlated_t: float = 10.0
+    # Share of the information on a parameter from which the default prior determines it, not the data.
+    prior_share: float = 0.5
     # Relative standard error, all else known, from which the common scale of the forces in a degree of
     # freedom is not found.
     scale: float = 0.5
     # Standard deviations of prior and fit together beyond which a value is far from what was stated.
-    far: float = 3.0
+    far_from_prior: float = 3.0
     # Fall of the sum of squares, in units of the noise, that is more than chance: twice the logarithm of a
     # likelihood ratio, which white noise brings above this once in 18 000 times at most on validation data.
     more_than_chance: float = 15.0
 
 
 SETTINGS = IdentifiabilitySettings()
-SURE, MORE_THAN_CHANCE = SETTINGS.zero, SETTINGS.more_than_chance
+SIGNIFICANT_T, MORE_THAN_CHANCE = SETTINGS.zero, SETTINGS.more_than_chance
 
 
 @dataclass(frozen=True)
@@ -201,50 +201,52 @@ def _term(name: str, factor: float) -> str:
     return f"{'-' if factor < 0 else '+'} {'' if abs(size - 1.0) < 1e-4 else f'{size:.4g} '}{name}"
 
 
-def undetermined(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[list[str]]:
+def undetermined(gram: Array, free: Sequence[str], limit: float = SETTINGS.unobservable) -> list[list[str]]:
     """Parameters that data with information J'J (without priors) do not determine, in groups.
 
-    A group of one is not identifiable at all; of a larger one only combinations are. `nothing` is the share
+    A group of one is not identifiable at all; of a larger one only combinations are. `limit` is the share
     of the largest eigenvalue of the scaled information below which a direction is not seen.
     """
-    _, vectors, unseen = _directions(gram, nothing)
-    null = vectors[:, unseen]
+    _, vectors, unobservable = _directions(gram, limit)
+    null = vectors[:, unobservable]
     projector = null @ null.T
     groups: list[list[int]] = []
-    left = [i for i in range(len(free)) if projector[i, i] > SETTINGS.touched]
+    left = [i for i in range(len(free)) if projector[i, i] > SETTINGS.membership]
     while left:
         group = [left.pop(0)]
         for i in group:
-            group += [j for j in left if abs(projector[i, j]) > SETTINGS.touched]
+            group += [j for j in left if abs(projector[i, j]) > SETTINGS.membership]
             left = [j for j in left if j not in group]
         groups.append(sorted(group))
     return [[free[i] for i in group] for group in groups]
 
 
-def base_parameters(gram: Array, free: Sequence[str], nothing: float = SETTINGS.unseen) -> list[Combination]:
+def base_parameters(
+    gram: Array, free: Sequence[str], limit: float = SETTINGS.unobservable
+) -> list[Combination]:
     """The combinations of parameters that data determine only jointly.
 
     They span the identifiable subspace of each group of `undetermined`, in reduced row echelon form: each
     begins with a parameter that is in no other.
     """
-    size, vectors, unseen = _directions(gram, nothing)
+    size, vectors, unobservable = _directions(gram, limit)
     found = []
-    for group in undetermined(gram, free, nothing):
+    for group in undetermined(gram, free, limit):
         places = [list(free).index(name) for name in group]
         # A functional is seen if it vanishes along every direction that is not.
-        null = vectors[places][:, unseen] / np.where(size > 0, size, 1.0)[places, None]
+        null = vectors[places][:, unobservable] / np.where(size > 0, size, 1.0)[places, None]
         basis, weight, _ = np.linalg.svd(null)
         rank = int(np.sum(weight > SETTINGS.rounding * max(weight.max(initial=0.0), 1e-300)))
-        found += [_named(row, group) for row in _echelon(basis[:, rank:].T)]
+        found += [_combination(row, group) for row in _echelon(basis[:, rank:].T)]
     return found
 
 
-def _directions(gram: Array, nothing: float) -> tuple[Array, Array, Flags]:
+def _directions(gram: Array, limit: float) -> tuple[Array, Array, Flags]:
     """Scale of the parameters, eigenvectors of the scaled information, and which of them are not seen."""
     size = np.sqrt(np.diag(gram))
     scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 1.0)
     weight, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
-    return size, vectors, weight < nothing * max(float(weight.max(initial=0.0)), 1e-300)
+    return size, vectors, weight < limit * max(float(weight.max(initial=0.0)), 1e-300)
 
 
 def _echelon(rows: Array) -> Array:
@@ -265,7 +267,7 @@ def _echelon(rows: Array) -> Array:
     return table[:done]
 
 
-def _named(row: Array, group: Sequence[str]) -> Combination:
+def _combination(row: Array, group: Sequence[str]) -> Combination:
     return Combination({n: float(c) for n, c in zip(group, row, strict=True) if abs(c) > SETTINGS.rounding})
 
 
@@ -324,7 +326,7 @@ class Fitted(ABC):
         """Values by run with their mean and spread, of every parameter that has them."""
         if not self.model.values.split:
             return ()
-        return table_of(self.model, self.p[list(self.model.places)], self.covariance)
+        return run_tables(self.model, self.p[list(self.model.places)], self.covariance)
 
     @property
     def vehicle_covariance(self) -> tuple[tuple[str, ...], Array]:
@@ -335,7 +337,7 @@ class Fitted(ABC):
         names, table = self.model.values.names, self.between_runs
         if not table:
             return names, self.covariance
-        average = of_the_vehicle(self.model, table)
+        average = averaging_matrix(self.model, table)
         spread = {t.parameter: t.spread**2 for t in table}
         return names, average @ self.covariance @ average.T + np.diag([spread.get(n, 0.0) for n in names])
 
@@ -346,7 +348,7 @@ class Fitted(ABC):
 
     def vehicle_in(self, run: Run) -> Vehicle:
         """The vehicle with the values of one run that was fitted; of another run, with the means."""
-        own = self.model.values.own(self.p, run)
+        own = self.model.values.of_run(self.p, run)
         place, vehicle = self.model.functions.parameter_names.index, self.vehicle
         split = (t.parameter for t in self.between_runs)
         return vehicle.with_values(
@@ -369,7 +371,7 @@ class Fitted(ABC):
         own = dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         if not self.between_runs:
             return own
-        average = of_the_vehicle(self.model, self.between_runs)
+        average = averaging_matrix(self.model, self.between_runs)
         errors = np.sqrt(np.diag(average @ self.covariance @ average.T)).tolist()
         return own | dict(zip(self.model.values.names, errors, strict=True))
 
@@ -395,16 +397,16 @@ def verdicts(fit: Fitted) -> dict[str, Verdict]:
     Not identifiable: within two standard errors of zero, or without effect on the data. Weakly identified:
     within five, known only together with another, or at a physical limit.
     """
-    sure = t_values(fit)
-    open_ = {name for group in undetermined(fit.gram, fit.model.free) for name in group}
-    doubtful = {*_tied(fit), *_bound(fit)}
-    return {n: _verdict(sure[n], n in open_, n in doubtful) for n in fit.model.free}
+    t = t_values(fit)
+    undetermined_names = {name for group in undetermined(fit.gram, fit.model.free) for name in group}
+    doubtful = {*_correlated(fit), *_at_bound(fit)}
+    return {n: _verdict(t[n], n in undetermined_names, n in doubtful) for n in fit.model.free}
 
 
 def _verdict(t: float, undetermined: bool, doubtful: bool) -> Verdict:
-    if t < SURE or undetermined:
+    if t < SIGNIFICANT_T or undetermined:
         return "not identifiable"
-    return "weakly identified" if t < SETTINGS.clear or doubtful else "identified"
+    return "weakly identified" if t < SETTINGS.weak_t or doubtful else "identified"
 
 
 def cramer_rao(fit: Fitted) -> dict[str, float]:
@@ -436,17 +438,17 @@ def t_value(value: float, error: float) -> float:
 def remarks(fit: Fitted, stated: Vehicle) -> dict[str, list[str]]:
     """Doubts about fitted values: not identifiable, at a bound, far from the stated prior."""
     found: dict[str, list[str]] = {n: [] for n in fit.model.free}
-    for part in (_unsure(fit), _tied(fit), _bound(fit), _moved(fit, stated)):
+    for part in (_insignificant(fit), _correlated(fit), _at_bound(fit), _far_from_prior(fit, stated)):
         for name, text in part.items():
             found[name].append(text)
     return found
 
 
-def held_by_size(fit: Fitted) -> list[str]:
+def held_by_default_prior(fit: Fitted) -> list[str]:
     """Parameters determined more by the default prior, from mass, inertia and length, than by the data."""
     weight = default_weights(fit.model) ** 2
     share = weight * np.diag(inverse_of(fit.information + np.diag(weight)))
-    return [n for n, part in zip(fit.model.free, share, strict=True) if part > SETTINGS.held]
+    return [n for n, part in zip(fit.model.free, share, strict=True) if part > SETTINGS.prior_share]
 
 
 def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
@@ -457,7 +459,7 @@ def unknown_scales(fit: Fitted) -> dict[str, list[str]]:
     free, values = fit.model.free, fit.model.values
     found = {}
     for dof, local in scale_directions(fit.model.functions, values.names, fit.p[: values.size]).items():
-        direction = local[values.behind]
+        direction = local[values.name_index]
         if direction @ fit.gram @ direction < SETTINGS.scale**-2:
             found[dof] = [n for n, change in zip(free, direction, strict=True) if change]
     return found
@@ -470,46 +472,46 @@ def notes(fit: Fitted) -> list[str]:
         "known up to a common factor, which stays as stated"
         for dof, names in unknown_scales(fit).items()
     ]
-    held = held_by_size(fit)
-    if held:
+    prior_share = held_by_default_prior(fit)
+    if prior_share:
         lines.append(
             "these logs determine these parameters so poorly that a weak prior from the vehicle's mass, "
-            f"inertia and length keeps them near the stated values: {', '.join(held)}"
+            f"inertia and length keeps them near the stated values: {', '.join(prior_share)}"
         )
     return lines
 
 
-def _unsure(fit: Fitted) -> dict[str, str]:
-    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < SURE}
+def _insignificant(fit: Fitted) -> dict[str, str]:
+    return {n: f"not identifiable: |t| = {t:.1f}" for n, t in t_values(fit).items() if t < SIGNIFICANT_T}
 
 
-def _tied(fit: Fitted) -> dict[str, str]:
-    between, names, sure = correlation(fit), fit.model.free, t_values(fit)
+def _correlated(fit: Fitted) -> dict[str, str]:
+    between, names, t = correlation(fit), fit.model.free, t_values(fit)
     np.fill_diagonal(between, 0.0)
     partner = np.argmax(np.abs(between), axis=1).tolist() if len(names) > 1 else []
     return {
         names[i]: f"known only together with {names[j]}: correlation {between[i, j]:.3f}"
         for i, j in enumerate(partner)
-        if abs(between[i, j]) > SETTINGS.tied and sure[names[i]] < SETTINGS.untied
+        if abs(between[i, j]) > SETTINGS.correlated and t[names[i]] < SETTINGS.correlated_t
     }
 
 
-def _bound(fit: Fitted) -> dict[str, str]:
+def _at_bound(fit: Fitted) -> dict[str, str]:
     return dict.fromkeys(at_bounds(fit.model, fit.p), "at a physical limit")
 
 
-def _moved(fit: Fitted, stated: Vehicle) -> dict[str, str]:
+def _far_from_prior(fit: Fitted, stated: Vehicle) -> dict[str, str]:
     found = {}
     for name in fit.model.free:
         value, prior = fit.values[name], stated.value_of(plain(name))
         if prior.sigma:
             distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
-            if distance > SETTINGS.far:
+            if distance > SETTINGS.far_from_prior:
                 found[name] = f"{distance:.1f} standard deviations from its prior"
     return found
 
 
-class Triangle:
+class TriangularFactor:
     """Any number of rows of a regression as the triangular factor of their QR decomposition.
 
     Rows are added in blocks and not kept: what is held are (k + 1)^2 numbers for k parameters. The solution

@@ -27,11 +27,11 @@ def change(values: Array) -> Array:
 def share_of_step(t: Array, delay: float) -> tuple[Array, Array]:
     """Where in the step after each sample a jump with this delay arrives, and its derivative."""
     step = np.append(np.diff(t), np.inf)
-    index = np.minimum(_at_work(t, delay), len(t) - 2)
+    index = np.minimum(_active_sample(t, delay), len(t) - 2)
     return np.clip((t[index + 1] + delay - t) / step, 0.0, 1.0), 1.0 / step
 
 
-def _at_work(t: Array, delay: float) -> Index:
+def _active_sample(t: Array, delay: float) -> Index:
     """From which sample on was held what was at work just before each sample, `delay` seconds late.
 
     Just before, for a delay that is a multiple of the step can only grow where it is zero.
@@ -55,25 +55,25 @@ def shifted_mean(t: Array, held: Array, delay: float) -> Array:
     value.
     """
     total = np.vstack([np.zeros_like(held[:1]), np.cumsum(held[:-1] * np.diff(t)[:, None], axis=0)])
-    late = _at(t, total, held, t - delay)
+    delayed = _integral_at(t, total, held, t - delay)
     step = np.diff(t)[:, None]
-    return np.vstack([np.diff(late, axis=0) / step, held[-1:]])
+    return np.vstack([np.diff(delayed, axis=0) / step, held[-1:]])
 
 
 def shift_rate(t: Array, held: Array, delay: float) -> Array:
     """Minus the derivative of `shifted_mean` in the delay."""
-    start = held[_at_work(t, delay)]
+    start = held[_active_sample(t, delay)]
     step = np.diff(t)[:, None]
     return np.vstack([np.diff(start, axis=0) / step, np.zeros_like(held[:1])])
 
 
-def _at(t: Array, total: Array, held: Array, when: Array) -> Array:
+def _integral_at(t: Array, total: Array, held: Array, when: Array) -> Array:
     index = np.clip(np.searchsorted(t, when, side="right") - 1, 0, len(t) - 1)
     return total[index] + held[index] * (when - t[index])[:, None]
 
 
 _SUBSTEPS = 4
-At = Callable[[ca.SX, float], ca.SX]
+Rate = Callable[[ca.SX, float], ca.SX]
 
 
 class Inputs(NamedTuple):
@@ -96,7 +96,7 @@ class PropagatedState:
     derivatives is one banded triangular solution.
     """
 
-    def __init__(self, z: ca.SX, inputs: Inputs, free: ca.SX, rate: At, output: At) -> None:
+    def __init__(self, z: ca.SX, inputs: Inputs, free: ca.SX, rate: Rate, output: Rate) -> None:
         self._z, self._inputs, self._free = z, inputs, free
         self._end, self._mean = _integrated(rate, output, z, inputs.dt)
 
@@ -118,7 +118,7 @@ class PropagatedState:
 
     def side_by_side(self, start: Array, logs: Sequence[tuple[Array, ...]], p: Array) -> list[Array]:
         """The same of S logs, each with its columns, t and dt, from starts (S, n); p may be (S, n_p)."""
-        *columns, t, dt = map(_abreast, zip(*logs, strict=True))
+        *columns, t, dt = map(_padded, zip(*logs, strict=True))
         states = carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(dt))
         return [states[: len(log[-1]) + 1, i] for i, log in enumerate(logs)]
 
@@ -139,7 +139,7 @@ class PropagatedState:
         return slopes, mean[:, :, 0], means
 
 
-def _abreast(signals: Sequence[Array]) -> Array:
+def _padded(signals: Sequence[Array]) -> Array:
     """Signals (N, ...) of several logs as (longest N, logs, ...), zeros after the end of each.
 
     Where an interval has no length, no state changes.
@@ -168,7 +168,7 @@ def _propagated_slopes(first: Array, factor: Array, added: Array) -> Array:
     return np.asarray(solution).reshape(count + 1, size, -1)
 
 
-def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _integrated(rate: Rate, output: Rate, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Exponential Runge-Kutta over one interval, and Simpson's mean of an output along it.
 
     A time constant may be far shorter than the interval: classical Runge-Kutta would grow without bound.
@@ -188,14 +188,14 @@ def _integrated(rate: At, output: At, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX
     return z, mean / (3 * _SUBSTEPS)
 
 
-def _decay(rate: At, z: ca.SX, begin: float) -> ca.SX:
+def _decay(rate: Rate, z: ca.SX, begin: float) -> ca.SX:
     """Rates at which each state decays by itself, 1/s, not positive."""
     at = ca.SX.sym("at", z.shape[0])
     own = ca.diag(ca.jacobian(rate(at, begin), at))
     return ca.fmin(ca.substitute(own, at, z), 0.0)
 
 
-def _exponential_step(rates: At, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
+def _exponential_step(rates: Rate, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
     """One step of the fourth-order method of Cox and Matthews (2002), ETDRK4: exact for what decays alone.
 
     Without decay it is the classical Runge-Kutta method.
@@ -286,13 +286,13 @@ class ActuatorStates:
     def along_each(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[Actuation]:
         """The same along several logs (t, u, p)."""
         if self.functions.actuation.shape[0] == 0:
-            nothing = [_nothing(len(t), len(self.free)) for t, _, _ in logs]
+            nothing = [_empty(len(t), len(self.free)) for t, _, _ in logs]
             return [Actuation.of(none, none) for none in nothing]
         means = self._propagate(logs) if self._has_states else [self._static(*log) for log in logs]
         found = []
         for (t, _, p), mean in zip(logs, means, strict=True):
-            late = self._delayed(t, mean, p)
-            found.append(Actuation.of(late, late if self._has_states else self._before(t, late, p)))
+            delayed = self._delayed(t, mean, p)
+            found.append(Actuation.of(delayed, delayed if self._has_states else self._before(t, delayed, p)))
         return found
 
     @property
@@ -300,7 +300,7 @@ class ActuatorStates:
         return bool(self.functions.actuator_states.shape[0])
 
     @property
-    def moves(self) -> bool:
+    def varies(self) -> bool:
         """Whether the actuation depends on a free parameter or on states."""
         composition = self.functions.vehicle.composition
         return self._has_states or bool(self._dependent) or composition.dead_time != 0
@@ -313,14 +313,14 @@ class ActuatorStates:
         found = []
         for states, (_, slope), (u, t, step), p in zip(every, rest, inside, parameters, strict=True):
             _, mean, slopes = self._propagated.along(states, slope, [u], p, t, step)
-            found.append(_driven(mean, slopes, self._dependent, len(self.free)))
+            found.append(_driven_signal(mean, slopes, self._dependent, len(self.free)))
         return found
 
     def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
         middle = t + np.append(np.diff(t), 0.0) / 2
         value, slope = mapped(self._output, [u], p, middle)
-        return _driven(value[:, :, 0], slope, self._dependent, len(self.free))
+        return _driven_signal(value[:, :, 0], slope, self._dependent, len(self.free))
 
     @cached_property
     def _output(self) -> ca.Function:
@@ -343,7 +343,7 @@ class ActuatorStates:
 
     @property
     def _free(self) -> ca.SX:
-        return _chosen(self.functions, [self.free[k] for k in self._dependent])
+        return _selected(self.functions, [self.free[k] for k in self._dependent])
 
     @cached_property
     def _propagated(self) -> PropagatedState:
@@ -364,7 +364,7 @@ class ActuatorStates:
     def _dead_time(self) -> ca.Function:
         f = self.functions
         expression = f.convert(f.vehicle.composition.dead_time)
-        slope = ca.jacobian(expression, _chosen(f, list(self.free)))
+        slope = ca.jacobian(expression, _selected(f, list(self.free)))
         return ca.Function("dead_time", [f.p], [expression, ca.densify(slope)])
 
     def _delayed(self, t: Array, driven: DrivenSignal, p: Array) -> DrivenSignal:
@@ -372,17 +372,17 @@ class ActuatorStates:
             return driven
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         seconds = float(delay[0, 0])
-        dependent, late = self._dependent, np.flatnonzero(slope)
+        dependent, places = self._dependent, np.flatnonzero(slope)
         by_dependent, start = (
             shifted_mean(t, s.reshape(len(t), -1), seconds).reshape(s.shape)
             for s in (driven.slope[:, :, dependent], driven.start)
         )
-        moved = np.zeros_like(driven.slope)
-        moved[:, :, dependent] = by_dependent
-        moved[:, :, late] -= shift_rate(t, driven.value, seconds)[:, :, None] * slope[0, late]
-        return DrivenSignal(shifted_mean(t, driven.value, seconds), moved, start)
+        slopes = np.zeros_like(driven.slope)
+        slopes[:, :, dependent] = by_dependent
+        slopes[:, :, places] -= shift_rate(t, driven.value, seconds)[:, :, None] * slope[0, places]
+        return DrivenSignal(shifted_mean(t, driven.value, seconds), slopes, start)
 
-    def seconds_late(self, p: Array) -> float:
+    def dead_time(self, p: Array) -> float:
         """Dead time between commands and their effect, s."""
         return float(self._dead_time(p)[0]) if self.functions.vehicle.composition.dead_time != 0 else 0.0
 
@@ -392,23 +392,23 @@ class ActuatorStates:
         A jump that falls between samples bends the velocity there: trapezoids over a kink at the share s of a
         step are off by 1 - 6 s (1 - s) times what they are off by over one at a sample.
         """
-        if not self.moves:
+        if not self.varies:
             return DrivenSignal(
                 np.concatenate([driven.value[:1], driven.value[:-1]]), driven.slope, driven.start
             )
         delay, slope = (np.asarray(v) for v in self._dead_time(p))
         share, per_second = share_of_step(t, float(delay[0, 0]))
         weight = 1.0 - 6.0 * share * (1.0 - share)
-        late = np.flatnonzero(slope)
-        dependent, moved = sorted({*self._dependent, *late.tolist()}), driven.slope.copy()
+        places = np.flatnonzero(slope)
+        dependent, slopes = sorted({*self._dependent, *places.tolist()}), driven.slope.copy()
         value, by_dependent, by_start = (
-            change(a) for a in (driven.value, moved[:, :, dependent], driven.start)
+            change(a) for a in (driven.value, slopes[:, :, dependent], driven.start)
         )
-        turned = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
-        moved[:, :, dependent] -= weight[:, None, None] * by_dependent
-        moved[:, :, late] += turned[:, :, None] * slope[0, late]
+        by_delay = (6.0 * (1.0 - 2.0 * share) * per_second)[:, None] * value
+        slopes[:, :, dependent] -= weight[:, None, None] * by_dependent
+        slopes[:, :, places] += by_delay[:, :, None] * slope[0, places]
         return DrivenSignal(
-            driven.value - weight[:, None] * value, moved, driven.start - weight[:, None, None] * by_start
+            driven.value - weight[:, None] * value, slopes, driven.start - weight[:, None, None] * by_start
         )
 
 
@@ -425,13 +425,13 @@ class Memory:
         """States at the samples, zero at the first; the motion is taken as linear between samples."""
         size, count = self.functions.memory.shape[0], len(t)
         if size == 0:
-            return _nothing(count, len(self.free))
+            return _empty(count, len(self.free))
         columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
         start, slope = np.zeros(size), np.zeros((size, len(self._dependent)))
         inside = columns, p, t[:-1], np.diff(t)
         states = self._propagated.states(start, *inside)
         slopes, _, _ = self._propagated.along(states, slope, *inside)
-        return _driven(states, slopes, self._dependent, len(self.free))
+        return _driven_signal(states, slopes, self._dependent, len(self.free))
 
     @cached_property
     def _rates(self) -> ca.SX:
@@ -455,7 +455,7 @@ class Memory:
         return PropagatedState(
             f.memory,
             Inputs([self._measured, after, f.actuation, f.u], f.p, f.t, dt),
-            _chosen(f, [self.free[k] for k in self._dependent]),
+            _selected(f, [self.free[k] for k in self._dependent]),
             at,
             lambda state, share: ca.SX(0, 1),
         )
@@ -470,11 +470,11 @@ def _refuse_motion(functions: Functions) -> None:
         )
 
 
-def _nothing(count: int, n_free: int) -> DrivenSignal:
+def _empty(count: int, n_free: int) -> DrivenSignal:
     return DrivenSignal(np.zeros((count, 0)), np.zeros((count, 0, n_free)), np.zeros((count, 0, 0)))
 
 
-def _chosen(functions: Functions, places: list[int]) -> ca.SX:
+def _selected(functions: Functions, places: list[int]) -> ca.SX:
     return ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
 
 
@@ -484,7 +484,7 @@ def _dependence(functions: Functions, free: tuple[int, ...], expression: ca.SX) 
     return [k for k, place in enumerate(free) if place in used]
 
 
-def _driven(value: Array, slopes: Array, dependent: list[int], n_free: int) -> DrivenSignal:
+def _driven_signal(value: Array, slopes: Array, dependent: list[int], n_free: int) -> DrivenSignal:
     """Values, and slopes put in the columns of the parameters that they belong to."""
     slope = np.zeros((*value.shape, n_free))
     slope[:, :, dependent] = slopes[:, :, : len(dependent)]

@@ -40,17 +40,16 @@ class OutputErrorSettings:
     # Change of a logarithm of a channel's weight, or of the parameters in standard deviations, with which
     # rounds end.
     converged: float = 0.05
-    # A log without noise would weigh infinitely: no channel counts as better known than this share of its
-    # rms.
+    # Least noise of a channel, as a share of its rms: a log without noise would have infinite weight.
     least_noise: float = 1e-6
     damping: float = 1e-3
     least_damping: float = 1e-9
     most_damping: float = 1e9
     # Samples of a window where whole runs are fitted: what its derivatives take stays below 200 MB.
     most_samples: int = 20_000
-    little_left: float = 4.0  # mean square over noise up to which longer windows say more, not less
-    # Share by which a fit may predict validation data worse than another and still be as good: what the
-    # noise at the starts of windows makes of it.
+    near_noise: float = 4.0  # mean square over noise up to which longer windows are more informative
+    # Share by which a fit may predict validation data worse than another and still be as good: the effect of
+    # the noise at the starts of windows.
     no_worse: float = 0.01
     # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber,
     # Robust Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
@@ -128,11 +127,11 @@ class State:
 class Descent:
     """Levenberg-Marquardt on the parameters, with the best starts for every step.
 
-    With `ahead` the error is that of velocities predicted from the measured motion at the start of a window,
-    as predictions are judged: the start of each window is known to sensor accuracy, and model errors
+    With `kinematics` the error is that of velocities predicted from the measured motion at the start of a
+    window, as in validation: the start of each window is known to sensor accuracy, and model errors
     accumulate after it. Of the pose only the start counts, since its errors are the accumulated velocity
     errors; velocities derived from it count like others. The information of the pose about the sensors, lost
-    in this way, is in `ahead` (see `by_kinematics`).
+    in this way, is in `kinematics` (see `kinematic_information`).
     """
 
     def __init__(
@@ -142,15 +141,15 @@ class Descent:
         compiled: bool | None = None,
         progress: Progress = lambda done, words: None,
         *,
-        ahead: tuple[Array, Array] | None = None,
+        kinematics: tuple[Array, Array] | None = None,
     ) -> None:
-        self.model, self.windows, self._ahead = model, windows, ahead is not None
-        self._weight = channel_weights(windows, derived=self._ahead)
+        self.model, self.windows, self._predicting = model, windows, kinematics is not None
+        self._weight = channel_weights(windows, derived=self._predicting)
         self._shooting = Shooting(
             model.functions, windows, model.free, self._weight, compiled=compiled, values=model.values
         )
-        self._space = SearchSpace(model, known=ahead)
-        self._known = np.zeros(len(model.free)) if ahead is None else ahead[1]
+        self._space = SearchSpace(model, known=kinematics)
+        self._known = np.zeros(len(model.free)) if kinematics is None else kinematics[1]
         self._progress = progress
         self._steps = 0
 
@@ -161,7 +160,7 @@ class Descent:
         start fits well would be sacrificed to one that no parameters fit, and be down-weighted from then on.
         """
         dispersion = np.ones(len(self.windows.names))
-        self._weigh(dispersion)
+        self._set_weights(dispersion)
         starts = self._first_starts(p)
         state = self._at(p, starts)
         for round_ in range(SETTINGS.rounds):
@@ -170,9 +169,9 @@ class Descent:
             if round_ and np.max(np.abs(np.log(found / dispersion))) < SETTINGS.converged:
                 break
             dispersion = found
-            self._weigh(dispersion)
-            state = self._roughly(state.p, state.starts)
-            self._weigh_priors(state, dispersion)
+            self._set_weights(dispersion)
+            state = self._coarse_minimum(state.p, state.starts)
+            self._scale_priors(state, dispersion)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
             self.model, state.p, self.windows, state.starts, state.at, dispersion, self._steps, self._known
@@ -180,46 +179,47 @@ class Descent:
 
     def _first_starts(self, p: Array) -> Array:
         """Where the search for the starts of the windows begins."""
-        return self._shooting.measured_starts(p) if self._ahead else self._shooting.fitted_starts(p)
+        return self._shooting.measured_starts(p) if self._predicting else self._shooting.fitted_starts(p)
 
-    def _weigh(self, dispersion: Array, trust: Array | None = None) -> None:
-        """Weight channels by the residual of a model, and samples, except starts, by `trust` (b, k, 2n)."""
+    def _set_weights(self, dispersion: Array, samples: Array | None = None) -> None:
+        """Weight channels by the residual of a model, and samples, except starts, by `samples` (b, k, 2n)."""
         self._shooting.weight = self._weight / np.sqrt(dispersion)
-        if self._ahead:
-            trust = np.ones((*self.windows.t.shape, len(dispersion))) if trust is None else trust.copy()
-            trust[:, 1:, : len(dispersion) // 2] = 0.0
-            trust[:, 0] = dispersion
-        self._shooting.trust = trust
+        if self._predicting:
+            ones = np.ones((*self.windows.t.shape, len(dispersion)))
+            samples = ones if samples is None else samples.copy()
+            samples[:, 1:, : len(dispersion) // 2] = 0.0
+            samples[:, 0] = dispersion
+        self._shooting.sample_weights = samples
 
-    def _weigh_priors(self, state: State, dispersion: Array) -> None:
+    def _scale_priors(self, state: State, dispersion: Array) -> None:
         """Count correlated residuals once, if the residual exceeds the noise: that is independent."""
-        left = float(np.max(dispersion)) >= SETTINGS.little_left
-        self._space.weigh_priors(state.at.inflation if left else 1.0)
+        left = float(np.max(dispersion)) >= SETTINGS.near_noise
+        self._space.scale_priors(state.at.inflation if left else 1.0)
 
     def fit_robust(self, p: Array, loss: Loss) -> OutputErrorFit:
         """Minimise with weights for each sample by its error, until the parameters converge."""
-        self._weigh(np.ones(len(self.windows.names)))
+        self._set_weights(np.ones(len(self.windows.names)))
         starts = self._first_starts(p)
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
         for round_ in range(SETTINGS.robust_rounds):
             self._progress(round_ / SETTINGS.robust_rounds, "output error, outliers down-weighted")
-            scale = self._weighed(state, loss)
+            scale = self._reweighted(state, loss)
             before, state = state.p, self.minimise(state.p, state.starts)
-            self._weigh_priors(state, scale**2)
-            if self._moved(state, before) < SETTINGS.converged:
+            self._scale_priors(state, scale**2)
+            if self._relative_change(state, before) < SETTINGS.converged:
                 break
         return self._robust(state, scale, loss)
 
-    def _weighed(self, state: State, loss: Loss) -> Array:
+    def _reweighted(self, state: State, loss: Loss) -> Array:
         """Weight channels and samples by their errors at a state; scale of the errors of each channel."""
         self._shooting.weight = self._weight
         errors = self._shooting.errors(state.p, state.starts)
         scale = np.array([robust_scale(e[np.isfinite(e)]) for e in np.moveaxis(errors, 2, 0)])
         scale = np.where(scale > 0, scale, 1.0)
-        self._weigh(scale**2, loss.weight(np.nan_to_num(errors / scale)))
+        self._set_weights(scale**2, loss.weight(np.nan_to_num(errors / scale)))
         return scale
 
-    def _moved(self, state: State, before: Array) -> float:
+    def _relative_change(self, state: State, before: Array) -> float:
         """Change of the parameters, in standard deviations of the fit."""
         places = list(self.model.places)
         return float(np.linalg.norm(state.at.J @ (state.p[places] - before[places])))
@@ -243,7 +243,7 @@ class Descent:
         """Minimise from these parameters and starts, with the weights as they are."""
         return self._minimised(self._at(p, starts), _negligible_fall)
 
-    def _roughly(self, p: Array, starts: Array) -> State:
+    def _coarse_minimum(self, p: Array, starts: Array) -> State:
         """The same until the residual, and hence the weights, hardly change."""
         return self._minimised(
             self._at(p, starts), lambda at: max(_negligible_fall(at), SETTINGS.rough_fall * at.cost)
@@ -258,12 +258,12 @@ class Descent:
             )
         return state
 
-    def _minimised(self, state: State, enough: Callable[[Reduced], float]) -> State:
+    def _minimised(self, state: State, threshold: Callable[[Reduced], float]) -> State:
         """Steps until one gains less than the threshold."""
         for _ in range(SETTINGS.most_steps):
             self._steps += 1
-            state, gained = self._stepped(state)
-            if gained < enough(state.at):
+            state, fall = self._stepped(state)
+            if fall < threshold(state.at):
                 break
         return state
 
@@ -273,7 +273,7 @@ class Descent:
         by_window = False
         while damping < SETTINGS.most_damping:
             step = self._space.step(_damped(state.at, damping), state.p)
-            p = self._space.moved(state.p, step)
+            p = self._space.after_step(state.p, step)
             starts = state.starts + state.at.start_slope @ step
             further = starts + state.at.start_step
             if by_window:
@@ -286,10 +286,10 @@ class Descent:
                 after = self._space.cost(p, at.cost)
                 if after < before:
                     return State(p, further, at, max(damping / 10, SETTINGS.least_damping)), before - after
-            promised = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
-            if before - promised < _negligible_fall(state.at):
+            predicted = self._space.predicted_cost(state.p, step, state.at.r + state.at.J @ step)
+            if before - predicted < _negligible_fall(state.at):
                 break
-            # Nothing holds the steps of the starts back: in a few windows one may be what fails.
+            # The steps of the starts are not damped: they may fail in a few windows.
             damping, by_window = damping * 10 if by_window else damping, True
         return state, 0.0
 
@@ -351,15 +351,15 @@ class Loss:
         return mean * float(np.mean((weight * z) ** 2)) / slope**2, mean / slope
 
 
-_BEND, _TAIL = SETTINGS.huber, SETTINGS.student
+_HUBER, _STUDENT = SETTINGS.huber, SETTINGS.student
 LOSSES: dict[str, Loss] = {
     "huber": Loss(
-        weight=lambda z: _BEND / np.maximum(np.abs(z), _BEND),
-        slope=lambda z: (np.abs(z) < _BEND).astype(float),
+        weight=lambda z: _HUBER / np.maximum(np.abs(z), _HUBER),
+        slope=lambda z: (np.abs(z) < _HUBER).astype(float),
     ),
     "student-t": Loss(
-        weight=lambda z: (_TAIL + 1) / (_TAIL + z**2),
-        slope=lambda z: (_TAIL + 1) * (_TAIL - z**2) / (_TAIL + z**2) ** 2,
+        weight=lambda z: (_STUDENT + 1) / (_STUDENT + z**2),
+        slope=lambda z: (_STUDENT + 1) * (_STUDENT - z**2) / (_STUDENT + z**2) ** 2,
     ),
 }
 
@@ -406,10 +406,10 @@ def fit_output_error(
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
     model, begin = weak_start(constraints.model(vehicle, names), runs, start)
-    return _descended(model, runs, horizon, begin, loss, compiled, progress)
+    return _fit_windows(model, runs, horizon, begin, loss, compiled, progress)
 
 
-def _descended(
+def _fit_windows(
     model: WeakModel,
     runs: Sequence[Run],
     horizon: float | None,
@@ -418,11 +418,11 @@ def _descended(
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
     *,
-    ahead: tuple[Array, Array] | None = None,
+    kinematics: tuple[Array, Array] | None = None,
 ) -> OutputErrorFit:
     windows = cut(runs, model.functions.vehicle, horizon)
-    descent = Descent(model, windows, compiled, progress, ahead=ahead)
-    p = started(model, start)
+    descent = Descent(model, windows, compiled, progress, kinematics=kinematics)
+    p = physical_start(model, start)
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
 
 
@@ -458,28 +458,28 @@ def final_fit(
     fits: list[WeakFit | OutputErrorFit] = [weak]
     short, middle, longest = horizons(model.functions.vehicle, runs)
 
-    def begun(
-        at: Fitted, horizon: float | None, ahead: tuple[Array, Array] | None = None
+    def next_fit(
+        at: Fitted, horizon: float | None, kinematics: tuple[Array, Array] | None = None
     ) -> OutputErrorFit | None:
         """The next fit; None where its simulation diverges, as that of a poor model may."""
         progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
         try:
-            return _descended(model, runs, horizon, at.values, loss, ahead=ahead)
+            return _fit_windows(model, runs, horizon, at.values, loss, kinematics=kinematics)
         except UndertowError:
             return None
 
-    for horizon in (short, middle, longest, _whole(runs)):
-        fit = begun(fits[-1], horizon)
-        if fit is None or (len(fits) > 3 and not _little_left(fit)):
+    for horizon in (short, middle, longest, _whole_run_length(runs)):
+        fit = next_fit(fits[-1], horizon)
+        if fit is None or (len(fits) > 3 and not _is_near_noise(fit)):
             break
         fits.append(fit)
-        if not _little_left(fit):
+        if not _is_near_noise(fit):
             break
-    # Over a time constant, or over less where that diverges or leaves much already.
-    if not _little_left(fits[:3][-1]):
-        begin, known = fits[:2][-1], by_kinematics(weak)
+    # Over a time constant, or over less where that diverges or leaves a large residual.
+    if not _is_near_noise(fits[:3][-1]):
+        begin, known = fits[:2][-1], kinematic_information(weak)
         for horizon in (short, middle, longest):
-            if fit := begun(begin, horizon, known):
+            if fit := next_fit(begin, horizon, known):
                 begin = fit
                 fits.append(fit)
     if len(fits) == 1:
@@ -489,7 +489,7 @@ def final_fit(
     return next((fit for fit, error in zip(fits[::-1], errors[::-1], strict=True) if error <= limit), weak)
 
 
-def by_kinematics(weak: WeakFit) -> tuple[Array, Array]:
+def kinematic_information(weak: WeakFit) -> tuple[Array, Array]:
     """Information on the free parameters from pose rates and velocities, independent of forces.
 
     They determine sensor errors without a model of the forces. Values, (n_free,), and inverse standard
@@ -497,27 +497,27 @@ def by_kinematics(weak: WeakFit) -> tuple[Array, Array]:
     """
     rows = weak.data.equation >= len(weak.data.names) // 2
     r, J = weak.at.r[rows], weak.at.J[rows]
-    seen = np.flatnonzero(np.any(J, axis=0))
+    observed = np.flatnonzero(np.any(J, axis=0))
     value, weight = weak.p[list(weak.model.places)], np.zeros(J.shape[1])
-    if len(seen):
-        J = J[:, seen]
+    if len(observed):
+        J = J[:, observed]
         information = J.T @ J
         covariance = clustered(information, summed_scores(r, J, weak.data.block[rows]))
-        value[seen] -= inverse_of(information) @ (J.T @ r)
-        weight[seen] = 1.0 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        value[observed] -= inverse_of(information) @ (J.T @ r)
+        weight[observed] = 1.0 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return value, weight
 
 
-def _whole(runs: Sequence[Run]) -> float | None:
+def _whole_run_length(runs: Sequence[Run]) -> float | None:
     """Length of windows over whole runs: None, or s where the longest one takes several."""
     longest = max(runs, key=lambda run: len(run.t))
     count = -(-len(longest.t) // SETTINGS.most_samples)
     return float(longest.t[-1] - longest.t[0]) / count if count > 1 else None
 
 
-def _little_left(fit: Fitted) -> bool:
+def _is_near_noise(fit: Fitted) -> bool:
     """Whether simulations leave little more than noise in every channel."""
-    return isinstance(fit, OutputErrorFit) and bool(np.max(fit.dispersion) < SETTINGS.little_left)
+    return isinstance(fit, OutputErrorFit) and bool(np.max(fit.dispersion) < SETTINGS.near_noise)
 
 
 def horizon_error(fits: Sequence[Fitted], validation: Sequence[Run]) -> Array:
@@ -553,6 +553,6 @@ def weak_start(
     return fit.model, fit.values
 
 
-def started(model: WeakModel, start: Mapping[str, float]) -> Array:
+def physical_start(model: WeakModel, start: Mapping[str, float]) -> Array:
     """All parameters at the start of a search: those of the vehicle, some replaced, made physical."""
-    return SearchSpace(model).nearest(model.started(start))
+    return SearchSpace(model).nearest(model.initial_p(start))

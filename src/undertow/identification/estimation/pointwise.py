@@ -41,14 +41,14 @@ def largest_values(functions: Functions, names: Sequence[str]) -> Array:
     and the time sqrt(length / g) that has the parameter's unit. The length is the edge of a cube of water as
     heavy as the vehicle or its radius of gyration, whichever is larger; for a coefficient of moments alone
     the square of the length is that of the radius of gyration about these axes. A larger stated value counts
-    as the size itself; a fitted one does not, lest every fit go ten times as far.
+    as the size itself; a fitted one does not, or every fit could go ten times as far.
     """
     vehicle = functions.vehicle
     known = {n: v.value for n, v in vehicle.values.items()} | dict(vehicle.environment)
     size = next((b for e in vehicle.effects if (b := e.vehicle_size(known)) is not None), None)
     if size is None or not names:
         return np.full(len(names), inf)
-    acts = _acts(functions, names)
+    acts = _affected_motions(functions, names)
     return np.array([_largest(vehicle, n, size, known, rows) for n, rows in zip(names, acts, strict=True)])
 
 
@@ -60,7 +60,7 @@ def scale_directions(functions: Functions, names: Sequence[str], p: Array) -> di
     """
     f = functions
     places = [f.parameter_names.index(n) for n in names]
-    acts = _acts(f, names) if names else []
+    acts = _affected_motions(f, names) if names else []
     inertia = ca.diag(f.mass_matrix)
     at_rest = [ca.SX.zeros(x.shape) for x in (f.eta, f.nu, f.t)]
     inertia = ca.substitute(inertia, ca.vertcat(f.eta, f.nu, f.t), ca.vertcat(*at_rest))
@@ -76,7 +76,7 @@ def scale_directions(functions: Functions, names: Sequence[str], p: Array) -> di
     return found
 
 
-def _acts(functions: Functions, names: Sequence[str]) -> list[set[int]]:
+def _affected_motions(functions: Functions, names: Sequence[str]) -> list[set[int]]:
     """Which motions, of the six, each parameter acts on directly."""
     free = ca.vertcat(*[functions.p[functions.parameter_names.index(n)] for n in names])
     pattern = ca.jacobian_sparsity(functions.residual, free)
@@ -104,7 +104,7 @@ def _natural_size(parameter: Parameter, size: VehicleSize, known: dict[str, floa
     length = max(size.length, size.gyration)
     if parameter.arm_of:
         return length * (1.0 if parameter.arm_of == "1" else known.get(parameter.arm_of, 0.0))
-    # What has a place to begin a search, or two bounds, is a shape, whose declaration says all there is.
+    # A parameter with starting values or two bounds is a shape parameter: its declaration gives its range.
     if not parameter.linear or all(map(isfinite, parameter.bounds)):
         return 0.0
     powers = {str(base): float(str(power)) for base, power in dimension(parameter.unit).items()}
@@ -142,13 +142,13 @@ class Pointwise:
         self.jump = ca.SX.sym("jump", self.size)
         self.delay = ca.SX.sym("delay")
         # Every segment of a log asks for the same one.
-        self._inverted: tuple[bytes, Array] = (b"", np.zeros(0))
+        self._last_inverse: tuple[bytes, Array] = (b"", np.zeros(0))
 
     @cached_property
     def inverse(self) -> ca.SX:
         """Inverse of the mass matrix: a number from outside where it does not depend on the motion."""
         if self.mass_is_constant:
-            return ca.SX.sym("inverse", self._coupled)
+            return ca.SX.sym("inverse", self._inverse_pattern)
         return solve_symmetric(self._true(self.functions.mass_matrix), ca.SX.eye(self.size))
 
     @cached_property
@@ -158,7 +158,7 @@ class Pointwise:
         return not ca.depends_on(ca.vec(f.mass_matrix), ca.vertcat(f.eta, f.nu, f.t))
 
     @cached_property
-    def _coupled(self) -> ca.Sparsity:
+    def _inverse_pattern(self) -> ca.Sparsity:
         """Where the inverse of the mass matrix can differ from zero: between motions that inertia couples."""
         one = ca.DM(self.functions.mass_matrix.sparsity(), 1)
         reach = ca.DM.eye(self.size) + one + one.T
@@ -171,67 +171,69 @@ class Pointwise:
         if not self.mass_is_constant:
             return np.zeros(0)
         key = p.tobytes()
-        if self._inverted[0] != key:
+        if self._last_inverse[0] != key:
             (mass,) = call(self._mass, [p])
             inverse = np.linalg.inv(mass.reshape(self.size, self.size))
-            self._inverted = key, inverse[self._coupled.row(), self._coupled.get_col()]
-        return self._inverted[1]
+            self._last_inverse = key, inverse[self._inverse_pattern.row(), self._inverse_pattern.get_col()]
+        return self._last_inverse[1]
 
     @cached_property
     def _mass(self) -> ca.Function:
         return ca.Function("mass", [self.functions.p], [ca.densify(self.functions.mass_matrix)])
 
-    def _true(self, expression: ca.SX, later: ca.SX | None = None) -> ca.SX:
+    def _true(self, expression: ca.SX, change: ca.SX | None = None) -> ca.SX:
         """An expression at the true motion, or at one that is faster by so much."""
         f, motion = self.functions, self.true_motion
-        if later is not None:
-            motion = ca.vertcat(motion[: self.size], motion[self.size :] + later)
+        if change is not None:
+            motion = ca.vertcat(motion[: self.size], motion[self.size :] + change)
         return ca.substitute(expression, ca.vertcat(f.eta, f.nu), motion)
 
     @cached_property
-    def _smooth(self) -> tuple[ca.SX, ca.SX]:
+    def _uncommanded(self) -> tuple[ca.SX, ca.SX]:
         """Forcing without the commands, and pose rate, at the velocity that quadrature wants.
 
         Where the commands jump, velocity has a kink, and so has what depends on it. A sum over samples h
         apart is off by h^2/12 times the jump of the slope there, and right again if the value there is that
         at a velocity which is more by h/12 times the jump of the acceleration.
         """
-        f, later = self.functions, self.delay * self.jump
-        still = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
-        return self._true(still, later), self._true(f.pose_rate, later)
+        f, change = self.functions, self.delay * self.jump
+        uncommanded = ca.substitute(f.forcing, self._drive, ca.SX.zeros(self._drive.shape))
+        return self._true(uncommanded, change), self._true(f.pose_rate, change)
 
     @cached_property
-    def _driven(self) -> ca.SX:
+    def _commanded(self) -> ca.SX:
         """Forcing by the commands."""
         return self._true(self._by_commands)
 
     @cached_property
     def _rows(self) -> ca.SX:
-        f, (still, rate) = self.functions, self._smooth
+        f, (uncommanded, rate) = self.functions, self._uncommanded
         velocity, pose = self._true(f.nu), self._true(f.eta)
-        rows = ca.vertcat(velocity, self.inverse @ still, pose, rate, self.inverse @ self._driven)
-        return ca.cse(self._jumped(rows))
+        rows = ca.vertcat(velocity, self.inverse @ uncommanded, pose, rate, self.inverse @ self._commanded)
+        return ca.cse(self._with_jump(rows))
 
     @cached_property
-    def _change(self) -> ca.SX:
+    def _force_jump(self) -> ca.SX:
         """Jump of the force of the commands since what the drive was before."""
-        return self._driven - ca.substitute(self._driven, self._drive, self.previous)
+        return self._commanded - ca.substitute(self._commanded, self._drive, self.previous)
 
-    def _jumped(self, expression: ca.SX) -> ca.SX:
+    def _with_jump(self, expression: ca.SX) -> ca.SX:
         """An expression with the jump of the acceleration put in its place."""
-        return ca.substitute(expression, self.jump, ca.densify(self.inverse @ self._change))
+        return ca.substitute(expression, self.jump, ca.densify(self.inverse @ self._force_jump))
 
     def _slope(self, variables: ca.SX) -> ca.SX:
         """Derivative of the rows: that of an acceleration M^-1 h is M^-1 (dh - dM M^-1 h)."""
-        f, (still, rate) = self.functions, self._smooth
+        f, (uncommanded, rate) = self.functions, self._uncommanded
         velocity, pose = (ca.jacobian(self._true(e), variables) for e in (f.nu, f.eta))
-        jump = self._turned(self._change, variables)
-        force = self._turned(still, variables) + self.inverse @ ca.jacobian(still, self.jump) @ jump
+        jump = self._slope_of(self._force_jump, variables)
+        force = (
+            self._slope_of(uncommanded, variables) + self.inverse @ ca.jacobian(uncommanded, self.jump) @ jump
+        )
         rates = ca.jacobian(rate, variables) + ca.jacobian(rate, self.jump) @ jump
-        driven = self._turned(self._driven, variables)
-        return self._jumped(ca.vertcat(velocity, force, pose, rates, driven))
+        driven = self._slope_of(self._commanded, variables)
+        return self._with_jump(ca.vertcat(velocity, force, pose, rates, driven))
 
-    def _turned(self, force: ca.SX, variables: ca.SX) -> ca.SX:
+    def _slope_of(self, force: ca.SX, variables: ca.SX) -> ca.SX:
         """Derivative of M^-1 h."""
         acceleration = ca.SX.sym("acceleration", self.size)
         slope = ca.jacobian(force - self._true(self.functions.mass_matrix) @ acceleration, variables)
@@ -263,12 +265,12 @@ class Pointwise:
         f = self.functions
         motion, places = ca.vertcat(f.eta, f.nu), range(2 * self.size)
         turned = [i for i, dof in enumerate(f.vehicle.dof_indices) if dof > 2]
-        moved = [i for i in places if i not in turned]
+        others = [i for i in places if i not in turned]
         attitude = _solved(f.reported[turned], motion[turned], self.measured[turned])
-        report = ca.substitute(f.reported[moved], motion[turned], attitude)
+        report = ca.substitute(f.reported[others], motion[turned], attitude)
         true = ca.SX.zeros(motion.shape)
         true[turned] = attitude
-        true[moved] = _solved(report, motion[moved], self.measured[moved])
+        true[others] = _solved(report, motion[others], self.measured[others])
         return true
 
     @cached_property
@@ -291,7 +293,7 @@ class Pointwise:
         """
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
-        # A chain in which nothing is free gives the same whatever the free parameters are.
+        # An actuator chain without free parameters does not depend on them.
         chain = f.actuation if self.actuators_vary else f.actuation[:0]
         before = self.previous[: chain.shape[0]]
         derivatives = [ca.sparsify(self._slope(v)) for v in (free, chain, before, f.memory)]
@@ -334,10 +336,10 @@ SETTINGS = LimitSettings()
 
 @dataclass(frozen=True)
 class Cut:
-    """Linear inequality slope' step >= lacking on a step of the free parameters."""
+    """Linear inequality slope' step >= limit on a step of the free parameters."""
 
     slope: Array
-    lacking: float
+    limit: float
 
 
 class PositiveMatrices:
@@ -363,7 +365,7 @@ class PositiveMatrices:
         """Inequalities on a step from p for every matrix to be positive; empty if all are."""
         return [cut for matrix in self._matrices for cut in matrix.cuts(p)]
 
-    def broken(self, p: Array) -> bool:
+    def violated(self, p: Array) -> bool:
         """Whether a matrix is not positive at p."""
         return any(matrix.least(p) < -SETTINGS.rounding for matrix in self._matrices)
 
@@ -371,7 +373,7 @@ class PositiveMatrices:
         """Names of all matrices that are not positive at p, including those without free parameters."""
         return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
 
-    def moved(self, p: Array, step: Array) -> Array:
+    def after_step(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
         found = p.copy()
         found[self._places] += step

@@ -18,7 +18,7 @@ from undertow.typing import Array, Flags, Index, Progress
 
 from .data import blocks_of_time, clustered, inverse_of, summed_scores
 from .fitted import Fitted
-from .output_error import channel_weights, started, weak_start
+from .output_error import channel_weights, physical_start, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import OneRun, Shooting
 from .step import Constraints, SearchSpace, require_rows, squared
@@ -40,7 +40,7 @@ class LinearWindows(NamedTuple):
     defect: Array
     by_end: Array  # (b, 3n, 3n) derivative of the end in the state
 
-    def spread(self, columns: Callable[[Array], Array]) -> LinearWindows:
+    def expanded(self, columns: Callable[[Array], Array]) -> LinearWindows:
         """The same with derivatives in other free parameters."""
         error, defect = (
             np.concatenate([a[..., :1], columns(a[..., 1:])], axis=-1) for a in (self.error, self.defect)
@@ -48,7 +48,7 @@ class LinearWindows(NamedTuple):
         return self._replace(error=error, defect=defect)
 
 
-class Chained:
+class ChainedWindows:
     """Windows that share their last sample with the next, segment by segment, simulated by one model."""
 
     def __init__(self, functions: Functions, windows: Windows, free: tuple[str, ...]) -> None:
@@ -70,11 +70,11 @@ class Chained:
         return self._shooting.measured_starts(p)
 
     @cached_property
-    def _by_run(self) -> list[tuple[OneRun, Chained]]:
+    def _by_run(self) -> list[tuple[OneRun, ChainedWindows]]:
         """The windows of every run, where some parameters have a value in each."""
         return [(one, self._with(one.shooting)) for one in self._shooting.by_run]
 
-    def _with(self, shooting: Shooting) -> Chained:
+    def _with(self, shooting: Shooting) -> ChainedWindows:
         other = copy(self)
         other.windows, other._shooting, other._predictor = shooting.windows, shooting, shooting.predictor
         other.last = _last(other.windows)
@@ -88,18 +88,18 @@ class Chained:
             return self._linearised(p, starts)
         values, parts = self._shooting.values, []
         for one, chained in self._by_run:
-            part = chained._linearised(values.own(p, one.run), starts[one.rows])
-            parts.append(part.spread(partial(values.spread, run=one.run)))
+            part = chained._linearised(values.of_run(p, one.run), starts[one.rows])
+            parts.append(part.expanded(partial(values.expanded, run=one.run)))
         return LinearWindows(*(np.concatenate(same) for same in zip(*parts, strict=True)))
 
     def _linearised(self, p: Array, starts: Array) -> LinearWindows:
         shooting, predictor = self._shooting, self._predictor
-        start, drive = predictor.start_and_drive(self.windows, p, starts)
+        start, commands = predictor.start_and_commands(self.windows, p, starts)
         every = predictor.simulator.run_with_sensitivities(
-            start, drive.t, drive.held, p, shooting.places, initial=range(self._size)
+            start, commands.t, commands.held, p, shooting.places, initial=range(self._size)
         )
-        x, s = map(drive.at_samples, every)
-        reported, slope = shooting.report_slopes(x, s, drive.u, self.windows.t, p)
+        x, s = map(commands.at_samples, every)
+        reported, slope = shooting.report_slopes(x, s, commands.u, self.windows.t, p)
         end, by_all = x[:, -1, : self._size], s[:, -1, : self._size].copy()
         both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts, near=p))
         for k, values in both.items():
@@ -108,9 +108,9 @@ class Chained:
 
     def _reports_and_ends(self, p: Array, starts: Array, near: Array) -> Array:
         """Reports of every window, and as a last row its end, shape (b, k + 1, 2n)."""
-        start, drive = self._predictor.start_and_drive(self.windows, p, starts, near)
-        x = drive.at_samples(self._predictor.simulator.run(start, drive.t, drive.held, p))
-        reported = self._predictor.reported(x, self.windows.t, drive.u, p)
+        start, commands = self._predictor.start_and_commands(self.windows, p, starts, near)
+        x = commands.at_samples(self._predictor.simulator.run(start, commands.t, commands.held, p))
+        reported = self._predictor.reported(x, self.windows.t, commands.u, p)
         return np.concatenate([reported, x[:, -1:, : self._size]], axis=1)
 
     def _assembled(
@@ -124,19 +124,19 @@ class Chained:
         since = self.windows.t - self.windows.t[:, :1]
         first = np.broadcast_to(np.eye(size), (count, size, size))
         ends = np.stack([first, by_all[..., n:]], axis=1)
-        by_push = _pushed(ends, since[:, [0, -1]])[:, 1]
+        by_acceleration = _acceleration_slopes(ends, since[:, [0, -1]])[:, 1]
         nothing = np.zeros((count, size // 2, size))
         steady = np.broadcast_to(np.eye(size // 2), (count, size // 2, size // 2))
         return LinearWindows(
             error=np.concatenate([error[..., None], by_free], axis=3),
-            by_start=np.concatenate([slope[..., n:], _pushed(slope[..., n:], since)], axis=3),
+            by_start=np.concatenate([slope[..., n:], _acceleration_slopes(slope[..., n:], since)], axis=3),
             used=self.used,
             defect=np.concatenate([defect, nothing[..., :1] * np.zeros(n + 1)], axis=1),
-            by_end=np.block([[by_all[..., n:], by_push], [nothing, steady]]),
+            by_end=np.block([[by_all[..., n:], by_acceleration], [nothing, steady]]),
         )
 
 
-def _pushed(by_start: Array, since: Array) -> Array:
+def _acceleration_slopes(by_start: Array, since: Array) -> Array:
     """Derivative in a steady acceleration from those in the start, (b, k, 2n, n), by the trapezoidal rule."""
     half = by_start.shape[3] // 2
     by_velocity = by_start[..., half:]
@@ -145,8 +145,8 @@ def _pushed(by_start: Array, since: Array) -> Array:
 
 def _last(windows: Windows) -> Flags:
     following = windows.first + windows.count - 1
-    goes_on = (windows.run[1:] == windows.run[:-1]) & (windows.first[1:] == following[:-1])
-    return np.append(~(goes_on & (windows.segment[1:] == windows.segment[:-1])), True)
+    continues = (windows.run[1:] == windows.run[:-1]) & (windows.first[1:] == following[:-1])
+    return np.append(~(continues & (windows.segment[1:] == windows.segment[:-1])), True)
 
 
 def _counted_once(windows: Windows, last: Flags) -> Flags:
@@ -166,7 +166,7 @@ class Noise:
     # at last
     intensity: Array
     # (3n,) standard deviation of the state at the start of a segment before anything is measured
-    vague: Array
+    initial_std: Array
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class Filtered:
     # list of (array, array): State (3n, 1 + n_free) and its covariance, before and after each window's
     # samples are seen
     predicted: list[tuple[Array, Array]]
-    seen: list[tuple[Array, Array]]
+    updated: list[tuple[Array, Array]]
 
 
 def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -> Filtered:
@@ -189,12 +189,12 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
     `last` (b,) marks windows at the end of a segment; `seconds` (b,) is the length of each.
     """
     columns, size = linear.defect.shape[2], linear.defect.shape[1]
-    rows, windows, channels, predicted, seen = [], [], [], [], []
-    logarithm, fresh = 0.0, True
-    mean, spread = np.zeros((size, columns)), np.diag(noise.vague**2)
+    rows, windows, channels, predicted, updated = [], [], [], [], []
+    logarithm, segment_start = 0.0, True
+    mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
     for j in range(len(linear.defect)):
-        if fresh:
-            mean, spread = np.zeros((size, columns)), np.diag(noise.vague**2)
+        if segment_start:
+            mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
         predicted.append((mean, spread))
         used = linear.used[j].ravel()
         H = linear.by_start[j].reshape(-1, size)[used]
@@ -206,16 +206,16 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
         mean = mean - white[:, columns:].T @ white[:, :columns]
         spread = _symmetric(spread - white[:, columns:].T @ white[:, columns:])
         logarithm += 2.0 * float(np.sum(np.log(np.diag(factor))))
-        seen.append((mean, spread))
+        updated.append((mean, spread))
         rows.append(white[:, :columns])
         windows.append(np.full(len(channel), j))
         channels.append(channel)
-        fresh = bool(last[j])
+        segment_start = bool(last[j])
         F = linear.by_end[j]
         mean = linear.defect[j] + F @ mean
         spread = _symmetric(F @ spread @ F.T) + np.diag(noise.intensity * seconds[j])
     table, window, channel = (np.concatenate(part) for part in (rows, windows, channels))
-    return Filtered(table, window, channel, logarithm, predicted, seen)
+    return Filtered(table, window, channel, logarithm, predicted, updated)
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -234,33 +234,35 @@ class Smoothed:
     errors: Array
 
 
-def smoothed(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, passed: Filtered) -> Smoothed:
+def smoothed(
+    linear: LinearWindows, last: Flags, seconds: Array, noise: Noise, innovations: Filtered
+) -> Smoothed:
     """The backward pass, from the last window to the first (Rauch, Tung and Striebel)."""
     count, size, columns = linear.defect.shape
     motion = np.zeros((count, size, columns))
     disturbance, errors = np.zeros((size, 2)), np.zeros((len(noise.variance), 2))
     later = np.zeros((size, size))
     for j in reversed(range(count)):
-        mean, spread = passed.seen[j]
+        mean, spread = innovations.updated[j]
         if not last[j]:
-            ahead, cover = passed.predicted[j + 1]
-            inverse = inverse_of(cover)
-            change, shrink = motion[j + 1] - ahead, later - cover
-            disturbance += _disturbance_sums(noise.intensity, seconds[j], inverse, change, shrink)
+            ahead, predicted_covariance = innovations.predicted[j + 1]
+            inverse = inverse_of(predicted_covariance)
+            change, covariance_change = motion[j + 1] - ahead, later - predicted_covariance
+            disturbance += _disturbance_sums(noise.intensity, seconds[j], inverse, change, covariance_change)
             gain = spread @ linear.by_end[j].T @ inverse
-            mean, spread = mean + gain @ change, _symmetric(spread + gain @ shrink @ gain.T)
+            mean, spread = mean + gain @ change, _symmetric(spread + gain @ covariance_change @ gain.T)
         motion[j], later = mean, spread
         errors += _error_sums(linear, j, mean, spread, noise.variance)
     return Smoothed(motion, disturbance, errors)
 
 
 def _disturbance_sums(
-    intensity: Array, seconds: float, inverse: Array, change: Array, shrink: Array
+    intensity: Array, seconds: float, inverse: Array, change: Array, covariance_change: Array
 ) -> Array:
     """Squared disturbance of one window over its length, and the share that the data determine, by state."""
     variance = intensity * seconds
     size = variance * (inverse @ change[:, 0])
-    share = -variance * np.diag(inverse @ shrink @ inverse)
+    share = -variance * np.diag(inverse @ covariance_change @ inverse)
     return np.column_stack([size**2 / max(seconds, 1e-12), share])
 
 
@@ -286,7 +288,7 @@ class PredictionErrorSettings:
     converged: float = 0.2
     shares: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in turn until the cost falls
     # How vague the motion at the start of a segment is, in sizes of the motion that is measured.
-    vague: float = 30.0
+    initial_std: float = 30.0
     # No channel counts as better known than this share of its rms: covariances would lose their digits.
     least_noise: float = 1e-4
     # Process noise over the interval between samples that the noise of a velocity hides entirely, as a share
@@ -294,9 +296,9 @@ class PredictionErrorSettings:
     least_process_noise: float = 1e-6
     # Process noise that is too strong falls slowly from step to step: it goes further, but not by leaps.
     overshoot: float = 2.0
-    leap: tuple[float, float] = (0.05, 20.0)
+    largest_change: tuple[float, float] = (0.05, 20.0)
     # Time over which slow and white process noise do the same before anything is known of them, s.
-    slow: float = 3.0
+    slow_seconds: float = 3.0
     block: float = 5.0  # length of segments of innovations that count as independent, s
 
 
@@ -312,7 +314,7 @@ class PredictionErrorFit(Fitted):
     p: Array  # (n_parameters,) all parameters
     windows: Windows  # What was simulated
     starts: Array  # (b, 2n) estimated true pose and velocity at the start of every window
-    passed: Filtered  # Whitened innovations at p, with their derivatives
+    innovations: Filtered  # Whitened innovations at p, with their derivatives
     without_process_noise: Filtered  # The same without a disturbance
     noise: Noise  # Estimated noise of the channels, and strength of the disturbance
     iterations: int  # Steps taken
@@ -320,7 +322,7 @@ class PredictionErrorFit(Fitted):
     @property
     def gram(self) -> Array:
         """J' J of the whitened innovations, shape (n_free, n_free)."""
-        return _gram(self.passed)
+        return _gram(self.innovations)
 
     @property
     def noise_gram(self) -> Array:
@@ -334,9 +336,9 @@ class PredictionErrorFit(Fitted):
         Five-second blocks are taken as independent: a sandwich estimator with clusters inflates the
         covariance where innovations are correlated.
         """
-        table = self.passed.table
-        t = self.windows.t[self.passed.window, 0]
-        run = self.windows.run[self.passed.window]
+        table = self.innovations.table
+        t = self.windows.t[self.innovations.window, 0]
+        run = self.windows.run[self.innovations.window]
         block = blocks_of_time(t - t.min(initial=0.0), SETTINGS.block, run)
         scores = summed_scores(table[:, 0], table[:, 1:], block)
         return clustered(self.information, scores)
@@ -350,18 +352,18 @@ class PredictionErrorFit(Fitted):
         )
 
     @property
-    def wander(self) -> dict[str, float]:
+    def random_walk(self) -> dict[str, float]:
         """How fast a slow disturbance of each acceleration wanders, (m/s^2)^2 / s or (rad/s^2)^2 / s."""
         size = len(self.windows.names) // 2
         return dict(zip(self.windows.names[size:], self.noise.intensity[2 * size :].tolist(), strict=True))
 
     def mean_square(self) -> Array:
         """Mean square of the whitened innovations by channel; NaN where one is not used."""
-        return mean_square_by(self.passed.channel, self.passed.table[:, 0], len(self.windows.names))
+        return mean_square_by(self.innovations.channel, self.innovations.table[:, 0], len(self.windows.names))
 
 
-def _gram(passed: Filtered) -> Array:
-    J = passed.table[:, 1:]
+def _gram(innovations: Filtered) -> Array:
+    J = innovations.table[:, 1:]
     return np.asarray(J.T @ J)
 
 
@@ -381,9 +383,9 @@ def fit_prediction_error(
     _refuse_long(runs)
     progress(0.0, "weak-form fit")
     model, start = weak_start(constraints.model(vehicle, names), runs, None)
-    p = started(model, start)
+    p = physical_start(model, start)
     windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
-    chained = Chained(model.functions, _without_derived(windows), model.free)
+    chained = ChainedWindows(model.functions, _without_derived(windows), model.free)
     if chained.has_sensor_delay:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a delayed sensor, which prediction error cannot handle: use "
@@ -393,7 +395,7 @@ def fit_prediction_error(
     return _Search(model, chained, progress).fit(p)
 
 
-def _informative_samples(chained: Chained) -> int:
+def _informative_samples(chained: ChainedWindows) -> int:
     """Samples of the velocities, or of the pose if more, beyond those that determine the starts."""
     by_channel = np.sum(chained.used, axis=(0, 1))
     beyond = np.maximum(by_channel - np.count_nonzero(chained.last), 0)
@@ -424,13 +426,13 @@ class _State:
     p: Array
     starts: Array
     linear: LinearWindows
-    passed: Filtered
+    innovations: Filtered
 
 
 class _Search:
     """Gauss-Newton on parameters and starts together; the noise is matched to the residual of each step."""
 
-    def __init__(self, model: WeakModel, chained: Chained, progress: Progress) -> None:
+    def __init__(self, model: WeakModel, chained: ChainedWindows, progress: Progress) -> None:
         self.model, self._chained, self._progress = model, chained, progress
         self._space = SearchSpace(model)
         windows = chained.windows
@@ -442,88 +444,92 @@ class _Search:
         windows = self._chained.windows
         weight, size = channel_weights(windows), len(windows.names)
         rms = np.sqrt(np.mean(windows.start**2, axis=0))
-        self._finest = (SETTINGS.least_noise * rms) ** 2
+        self._least_variance = (SETTINGS.least_noise * rms) ** 2
         known = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 1.0) ** 2
-        variance = np.maximum(known, self._finest)
+        variance = np.maximum(known, self._least_variance)
         seconds = float(np.median(self._seconds))
-        # What no sensor measures is known as well as from differences of the pose.
+        # A velocity without a sensor is as uncertain as differences of the pose.
         lacking, pose = weight[size // 2 :] == 0, variance[: size // 2]
         velocity = np.where(lacking, pose / seconds**2, variance[size // 2 :]) / seconds
-        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / SETTINGS.slow**2])
-        return self._vague(Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * SETTINGS.vague))
+        intensity = np.concatenate([np.zeros(size // 2), velocity, velocity / SETTINGS.slow_seconds**2])
+        return self._with_initial_std(
+            Noise(variance, intensity, np.maximum(rms, np.sqrt(variance)) * SETTINGS.initial_std)
+        )
 
-    def _vague(self, noise: Noise) -> Noise:
+    def _with_initial_std(self, noise: Noise) -> Noise:
         """The noise, with a slow disturbance that has evolved over the length of a segment before it."""
         size = len(noise.variance)
         length = float(np.sum(self._seconds)) / max(int(np.sum(self._chained.last)), 1)
-        slow = np.sqrt(noise.intensity[size:] * length)
-        return replace(noise, vague=np.concatenate([noise.vague[:size], slow]))
+        drift = np.sqrt(noise.intensity[size:] * length)
+        return replace(noise, initial_std=np.concatenate([noise.initial_std[:size], drift]))
 
     def fit(self, p: Array) -> PredictionErrorFit:
         """Alternate steps and noise until neither changes."""
         state = self._at(p, self._chained.measured_starts(p))
-        if not np.isfinite(state.passed.table).all():
+        if not np.isfinite(state.innovations.table).all():
             raise UndertowError(
                 "the simulation diverges with the initial parameter values: give better values"
             )
         for iteration in range(1, SETTINGS.most_steps + 1):
             self._progress(iteration / SETTINGS.most_steps, "prediction error")
             before = self._cost(state)
-            back = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.passed)
-            state, predicted = self._stepped(state, back)
-            self._match(back)
-            state = replace(state, passed=self._pass(state.linear, self._noise))
+            smooth = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.innovations)
+            state, predicted = self._stepped(state, smooth)
+            self._update_noise(smooth)
+            state = replace(state, innovations=self._filtered(state.linear, self._noise))
             if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
-        sensor_noise = self._vague(replace(self._noise, intensity=0.0 * self._noise.intensity))
-        passes = state.passed, self._pass(state.linear, sensor_noise)
+        sensor_noise = self._with_initial_std(replace(self._noise, intensity=0.0 * self._noise.intensity))
+        passes = state.innovations, self._filtered(state.linear, sensor_noise)
         return PredictionErrorFit(
             self.model, state.p, self._chained.windows, state.starts, *passes, self._noise, iteration
         )
 
     def _at(self, p: Array, starts: Array) -> _State:
         linear = self._chained.linearise(p, starts)
-        return _State(p, starts, linear, self._pass(linear, self._noise))
+        return _State(p, starts, linear, self._filtered(linear, self._noise))
 
-    def _pass(self, linear: LinearWindows, noise: Noise) -> Filtered:
+    def _filtered(self, linear: LinearWindows, noise: Noise) -> Filtered:
         return filtered(linear, self._chained.last, self._seconds, noise)
 
-    def _stepped(self, state: _State, back: Smoothed) -> tuple[_State, float]:
+    def _stepped(self, state: _State, smooth: Smoothed) -> tuple[_State, float]:
         """The state after one step, and the predicted fall of the sum of squares."""
-        r, J = state.passed.table[:, 0], state.passed.table[:, 1:]
+        r, J = state.innovations.table[:, 0], state.innovations.table[:, 1:]
         step = self._space.step(Linearised(r, J, np.zeros((len(r), 0))), state.p)
         predicted = squared(r) - squared(r + J @ step)
         limit = self._cost(state) + SETTINGS.least_fall
-        tried = (self._after(share * step, state, back) for share in SETTINGS.shares)
+        tried = (self._after_step(share * step, state, smooth) for share in SETTINGS.shares)
         found = next((after for after in tried if self._cost(after) <= limit), None)
         return (state, 0.0) if found is None else (found, predicted)
 
-    def _after(self, step: Array, state: _State, back: Smoothed) -> _State:
+    def _after_step(self, step: Array, state: _State, smooth: Smoothed) -> _State:
         """The state after a step of the parameters and the smoothed change of the starts with it."""
-        motion = back.motion[..., 0] + back.motion[..., 1:] @ step
-        return self._at(self._space.moved(state.p, step), state.starts + motion[:, : state.starts.shape[1]])
+        motion = smooth.motion[..., 0] + smooth.motion[..., 1:] @ step
+        return self._at(
+            self._space.after_step(state.p, step), state.starts + motion[:, : state.starts.shape[1]]
+        )
 
     def _cost(self, state: _State) -> float:
         """The cost to be minimised by the parameters at fixed noise."""
-        squares = squared(state.passed.table[:, 0]) + state.passed.log_determinant
+        squares = squared(state.innovations.table[:, 0]) + state.innovations.log_determinant
         cost = self._space.cost(state.p, squares)
         return cost if np.isfinite(cost) else np.inf
 
-    def _match(self, back: Smoothed) -> None:
+    def _update_noise(self, smooth: Smoothed) -> None:
         """Bring the noise nearer to its most likely value.
 
         The sum of squares over its effective degrees of freedom has its fixed point at the maximum
         likelihood, which is reached much faster than by expectation and maximisation.
         """
         known = self._noise.intensity
-        ratio = _per_term(back.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
-        intensity = known * np.clip(ratio, *SETTINGS.leap) ** SETTINGS.overshoot
+        ratio = _mean_per_term(smooth.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
+        intensity = known * np.clip(ratio, *SETTINGS.largest_change) ** SETTINGS.overshoot
         intensity = np.where(self._noise.intensity > 0, np.maximum(intensity, self._least), 0.0)
-        variance = np.maximum(_per_term(back.errors, 1.0, self._noise.variance), self._finest)
-        self._noise = self._vague(replace(self._noise, variance=variance, intensity=intensity))
+        variance = np.maximum(_mean_per_term(smooth.errors, 1.0, self._noise.variance), self._least_variance)
+        self._noise = self._with_initial_std(replace(self._noise, variance=variance, intensity=intensity))
 
 
-def _per_term(sums: Array, least: float, known: Array) -> Array:
+def _mean_per_term(sums: Array, least: float, known: Array) -> Array:
     """Sums of squares per term that the data determine; what is known where those are fewer than `least`."""
     there = sums[:, 1] > least
     return np.where(there, sums[:, 0] / np.where(there, sums[:, 1], 1.0), known)

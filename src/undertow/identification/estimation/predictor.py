@@ -18,13 +18,13 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 
-from .data import numbered
+from .data import group_numbers
 from .inputs import Inputs, PropagatedState, shifted_mean
 from .pointwise import Pointwise
 from .residual import SensorDelay
-from .windows import Drive, Prediction, Windows, arriving, cut
+from .windows import Prediction, WindowCommands, Windows, cut, delayed_commands
 
-Simulate = Callable[[Array, Array, Drive, Array, Array], Array]
+Simulate = Callable[[Array, Array, WindowCommands, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ SETTINGS = StartSettings()
 
 
 @dataclass(frozen=True)
-class Origin:
+class SegmentStart:
     """States at the beginning of every segment of the logs for one set of parameters.
 
     state: (segments, nx); scale: (size,), uncertainty of each own state there.
@@ -57,7 +57,7 @@ class Origin:
     scale: Array
 
 
-class OwnStates:
+class InternalStates:
     """Own states of a model at the start of windows: memory of wrenches, and actuators.
 
     `simulate` reports (b, k, 2n) from start (b, nx), t, commands, p and what was reported at the start (b,
@@ -72,8 +72,8 @@ class OwnStates:
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
-        self, windows: Windows, motion: Array, delay: float, p: Array, near: Origin | None = None
-    ) -> tuple[Array, Origin | None]:
+        self, windows: Windows, motion: Array, delay: float, p: Array, near: SegmentStart | None = None
+    ) -> tuple[Array, SegmentStart | None]:
         """Memory and actuator states at the start of every window, (b, size), and where the segments begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
@@ -84,26 +84,26 @@ class OwnStates:
             return own, None
         segments = _segments(windows)
         first = np.array([rows[0] for rows in segments])
-        look = _first_windows(windows, first)
-        drive = arriving(look, delay)
-        sent = zip(windows.runs, windows.held, strict=True)
-        drives = [shifted_mean(run.t, u, delay) if delay else u for run, u in sent]
-        rest = self._at_rest(drive.u[:, 0], look.t[:, 0], p)
-        along = partial(self._along, windows, segments, drives, p)
+        opening = _first_windows(windows, first)
+        commands = delayed_commands(opening, delay)
+        command_logs = zip(windows.runs, windows.held, strict=True)
+        delayed = [shifted_mean(run.t, u, delay) if delay else u for run, u in command_logs]
+        rest = self._at_rest(commands.u[:, 0], opening.t[:, 0], p)
+        along = partial(self._along, windows, segments, delayed, p)
         scale, found = (self._scale(along(rest)), None) if near is None else (near.scale, near.state)
         noise = _noise(windows)
-        width = np.concatenate([SETTINGS.motion * noise, scale])
+        deviation = np.concatenate([SETTINGS.motion * noise, scale])
         start = np.column_stack([motion[first], rest])
 
         def report(trials: Array) -> Array:
-            rows = np.repeat(np.arange(len(look)), len(trials) // len(look))
-            return self._simulate(trials, look.t[rows], drive[rows], p, look.start[rows]) / noise
+            rows = np.repeat(np.arange(len(opening)), len(trials) // len(opening))
+            return self._simulate(trials, opening.t[rows], commands[rows], p, opening.start[rows]) / noise
 
-        measured = np.where(np.isfinite(look.measured), look.measured / noise, np.nan)
-        state = best_start(report, measured, start, width, found)
+        measured = np.where(np.isfinite(opening.measured), opening.measured / noise, np.nan)
+        state = estimated_starts(report, measured, start, deviation, found)
         for rows, states in zip(segments, along(state[:, -self.size :]), strict=True):
             own[rows] = states[windows.first[rows] - windows.first[rows[0]]]
-        return own, Origin(state, scale)
+        return own, SegmentStart(state, scale)
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
@@ -118,17 +118,17 @@ class OwnStates:
         return np.where(largest > 0, largest, 1.0)
 
     def _along(
-        self, windows: Windows, segments: list[Index], drives: list[Array], p: Array, start: Array
+        self, windows: Windows, segments: list[Index], delayed: list[Array], p: Array, start: Array
     ) -> list[Array]:
         """States from the first to the last start in every segment, shape (N, size) each."""
-        inside = [self._between(windows, rows, drives, p) for rows in segments]
+        inside = [self._between(windows, rows, delayed, p) for rows in segments]
         return self._propagated.side_by_side(start, inside, p)
 
-    def _between(self, windows: Windows, rows: Index, drives: list[Array], p: Array) -> tuple[Array, ...]:
+    def _between(self, windows: Windows, rows: Index, delayed: list[Array], p: Array) -> tuple[Array, ...]:
         """Motion before and after every interval between the starts of a segment, commands, time, length."""
         run, first = int(windows.run[rows[0]]), int(windows.first[rows[0]])
         piece = slice(first, int(windows.first[rows[-1]]) + 1)
-        t, u = windows.runs[run].t[piece], drives[run][piece]
+        t, u = windows.runs[run].t[piece], delayed[run][piece]
         reach = slice(first, piece.stop - 1 + int(windows.count[rows[-1]]))
         measured = self._measured(windows, run, reach, p)[: len(t)]
         return measured[:-1], measured[1:], u[:-1], t[:-1], np.diff(t)
@@ -136,7 +136,7 @@ class OwnStates:
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
         log = windows.runs[run]
-        return self._sensor_delay.at_its_time(log.t[piece], log.known(windows.names)[piece], p)
+        return self._sensor_delay.aligned_signals(log.t[piece], log.known(windows.names)[piece], p)
 
     @cached_property
     def _propagated(self) -> PropagatedState:
@@ -172,7 +172,7 @@ def _first_windows(windows: Windows, first: Index) -> Windows:
 
 def _segments(windows: Windows) -> list[Index]:
     """Windows of every gap-free segment, in order of time."""
-    number = numbered(windows.run, windows.segment)
+    number = group_numbers(windows.run, windows.segment)
     return [np.flatnonzero(number == i) for i in range(number.max() + 1)]
 
 
@@ -183,20 +183,20 @@ def _noise(windows: Windows) -> Array:
 
 
 # --- the state at the beginning, by how the log goes on -------------------------------------------
-_LOST = 1e300
+_DIVERGED = 1e300
 
 
-def best_start(
+def estimated_starts(
     report: Callable[[Array], Array],
     measured: Array,
     start: Array,
-    width: Array,
+    deviation: Array,
     first: Array | None = None,
 ) -> Array:
     """Starts (b, m) that best explain the following samples, by Gauss-Newton with the given ones as prior.
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
-    (b, k, c) are in units of the noise, NaN where nothing was measured. `width` (m,) is the standard
+    (b, k, c) are in units of the noise, NaN where nothing was measured. `deviation` (m,) is the standard
     deviation of the prior; the search begins at `first` (b, m), where given.
     """
     used = np.isfinite(measured)[:, None]
@@ -205,23 +205,23 @@ def best_start(
     def residual(moved: Array) -> Array:
         """Measured minus reported for trials of shape (b, r, m), shape (b, r, k c)."""
         b, r, m = moved.shape
-        y = report((start[:, None] + moved * width).reshape(b * r, m))
+        y = report((start[:, None] + moved * deviation).reshape(b * r, m))
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
-    moved = np.zeros_like(start) if first is None else (first - start) / width
+    moved = np.zeros_like(start) if first is None else (first - start) / deviation
     falls: list[Array] = []
     for _ in range(SETTINGS.rounds):
         step = _gauss_newton(residual, moved)
         trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
         with np.errstate(over="ignore"):
             cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
-        cost = np.nan_to_num(cost, nan=_LOST, posinf=_LOST)
+        cost = np.nan_to_num(cost, nan=_DIVERGED, posinf=_DIVERGED)
         best = np.argmin(cost, axis=1)
         moved = trials[np.arange(len(best)), best]
         falls.append(cost[:, -1] - cost[np.arange(len(best)), best])
         if not np.any(falls[-1] > SETTINGS.least_fall * falls[0]):
             break
-    return start + moved * width
+    return start + moved * deviation
 
 
 def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
@@ -234,18 +234,18 @@ def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
         right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
     good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
     step = np.zeros_like(moved)
-    # Where reports depend on the start beyond all measure, the prior drowns in rounding: no step along that.
+    # Where reports are extremely sensitive to the start, the prior is lost in rounding: no step that way.
     step[good] = (np.linalg.pinv(gram[good], hermitian=True) @ right[good][:, :, None])[:, :, 0]
     return step
 
 
 @dataclass(frozen=True)
-class _Found:
+class _StartStates:
     """True motion and own states at the starts of windows, at one set of parameters."""
 
     motion: Array
     own: Array
-    origin: Origin | None
+    origin: SegmentStart | None
 
 
 class Predictor:
@@ -256,24 +256,24 @@ class Predictor:
         self.simulator = Simulator(self.functions, compiled=compiled)
         self._points = Pointwise(self.functions, ())
         self.sensor_delay = SensorDelay(self.functions)
-        self._own_states = OwnStates(self.functions, self._points, self.sensor_delay, self.simulated)
-        # Bound as one, so that threads with windows of their own do not mix them up.
-        self._recent: tuple[Callable[[], Windows | None], dict[bytes, _Found]]
+        self._own_states = InternalStates(self.functions, self._points, self.sensor_delay, self.simulated)
+        # One tuple, so that threads with different windows do not mix them up.
+        self._recent: tuple[Callable[[], Windows | None], dict[bytes, _StartStates]]
         self._recent = (lambda: None), {}
 
-    def another(self) -> Predictor:
+    def for_other_windows(self) -> Predictor:
         """The same predictor for other windows: what it keeps of them is its own."""
         other = copy(self)
         other._recent = (lambda: None), {}
         return other
 
-    def beginning(self, windows: Windows, rows: Index, part: Windows, p: Array) -> Predictor:
+    def for_first_samples(self, windows: Windows, rows: Index, part: Windows, p: Array) -> Predictor:
         """A predictor of `part`, which is the beginning of some of the windows.
 
         Starts known at these parameters are not computed again.
         """
-        found, other = self._found(windows, p), self.another()
-        known = _Found(found.motion[rows], found.own[rows], found.origin)
+        found, other = self._start_states(windows, p), self.for_other_windows()
+        known = _StartStates(found.motion[rows], found.own[rows], found.origin)
         other._recent = weakref.ref(part), {p.tobytes(): known}
         return other
 
@@ -290,26 +290,26 @@ class Predictor:
         `motion` (b, 2n) is the true one at the starts; as measured where not given. `near` are parameters
         close by, from which the model's own states at the starts are sought.
         """
-        start, drive = self.start_and_drive(windows, p, motion, near)
-        reported = self.simulated(start, windows.t, drive, p, windows.start)
+        start, commands = self.start_and_commands(windows, p, motion, near)
+        reported = self.simulated(start, windows.t, commands, p, windows.start)
         reported[~windows.inside] = np.nan
         return reported
 
-    def start_and_drive(
+    def start_and_commands(
         self, windows: Windows, p: Array, motion: Array | None = None, near: Array | None = None
-    ) -> tuple[Array, Drive]:
+    ) -> tuple[Array, WindowCommands]:
         """States at the start of every window, (b, nx), and the commands in it, as for `reports`."""
-        drive = arriving(windows, self._delay(p))
-        found = self._found(windows, p, near, drive)
-        return np.column_stack([found.motion if motion is None else motion, found.own]), drive
+        commands = delayed_commands(windows, self._delay(p))
+        found = self._start_states(windows, p, near, commands)
+        return np.column_stack([found.motion if motion is None else motion, found.own]), commands
 
     def _delay(self, p: Array) -> float:
         """How late commands arrive, s."""
         return float(self.functions.dead_time(p))
 
-    def _found(
-        self, windows: Windows, p: Array, near: Array | None = None, drive: Drive | None = None
-    ) -> _Found:
+    def _start_states(
+        self, windows: Windows, p: Array, near: Array | None = None, commands: WindowCommands | None = None
+    ) -> _StartStates:
         """Measured motion and own states at the starts, kept for the next calls with the same parameters.
 
         A descent returns to the same parameters repeatedly while it moves the starts. Only one set of windows
@@ -320,13 +320,13 @@ class Predictor:
             of, recent = self._recent = weakref.ref(windows), {}
         key = p.tobytes() + (b"" if near is None else near.tobytes())
         if key not in recent:
-            origin = None if near is None else self._found(windows, near).origin
+            origin = None if near is None else self._start_states(windows, near).origin
             delay = self._delay(p)
-            motion = self.measured_motion(windows, (drive or arriving(windows, delay)).u, p)
+            motion = self.measured_motion(windows, (commands or delayed_commands(windows, delay)).u, p)
             own, origin = self._own_states.at_starts(windows, motion, delay, p, origin)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
-            recent[key] = _Found(motion, own, origin)
+            recent[key] = _StartStates(motion, own, origin)
         return recent[key]
 
     def measured_motion(self, windows: Windows, u: Array, p: Array) -> Array:
@@ -338,13 +338,15 @@ class Predictor:
         (motion,) = mapped(self._points.true_motion_at, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
-    def simulated(self, start: Array, t: Array, drive: Drive, p: Array, before: Array | None = None) -> Array:
+    def simulated(
+        self, start: Array, t: Array, commands: WindowCommands, p: Array, before: Array | None = None
+    ) -> Array:
         """Simulate from states (b, nx), and say what the sensors report, shape (b, k, 2n).
 
         `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at first.
         """
-        states = drive.at_samples(self.simulator.run(start, drive.t, drive.held, p))
-        prompt = self.reported(states, t, drive.u, p)
+        states = commands.at_samples(self.simulator.run(start, commands.t, commands.held, p))
+        prompt = self.reported(states, t, commands.u, p)
         if not self.sensor_delay.present:
             return prompt
         return reported_late(
@@ -354,14 +356,14 @@ class Predictor:
     def reported(self, states: Array, t: Array, u: Array, p: Array) -> Array:
         """Reports of prompt sensors for states of shape (b, k, nx)."""
         size = 2 * self._points.size
-        if self.sensors_are_true:
+        if self.ideal_sensors:
             return states[:, :, :size].copy()
         columns = [a.reshape(a.shape[0] * a.shape[1], a.shape[2]) for a in (states, u)]
         (flat,) = mapped(self.functions.outputs, columns, p, t.ravel())
         return np.asarray(flat.reshape(*t.shape, -1))
 
     @cached_property
-    def sensors_are_true(self) -> bool:
+    def ideal_sensors(self) -> bool:
         """Whether the sensors report pose and velocity as they are."""
         motion = ca.vertcat(self.functions.eta, self.functions.nu)
         return bool(ca.is_equal(self.functions.reported, motion, 2))

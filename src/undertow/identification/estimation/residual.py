@@ -21,12 +21,12 @@ from undertow.typing import Array, Flags, Index
 from .data import Segment, WeakData, Whitening, overlap, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
 from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
-from .test_functions import Entries, Supports, meeting, tested
+from .test_functions import Entries, Supports, weighted_sums, weights_and_equation
 
 # --- parameters that have a value of their own in every run ---------------------------------------
 # A free parameter V_N@dive2 is the value of V_N in the run "dive2". All parameters of a model stand in one
 # vector p: first those of the vehicle, as the equations have them, then the values by run. Residuals and
-# simulations take the parameters of one run at a time, `RunValues.own`; derivatives go back to the columns
+# simulations take the parameters of one run at a time, `RunValues.of_run`; derivatives go back to the columns
 # of the free parameters, `RunValues.columns`.
 
 _AT = "@"
@@ -92,7 +92,7 @@ class RunValues:
         return found
 
     @cached_property
-    def behind(self) -> Index:
+    def name_index(self) -> Index:
         """Place among `names` of the parameter behind every free one."""
         return np.array([self.names.index(plain(n)) for n in self.free], dtype=np.intp)
 
@@ -107,7 +107,7 @@ class RunValues:
         """Places, among the parameters of one run, of those that are free."""
         return tuple(self._place[n] for n in self.names)
 
-    def started(self, stated: Array, start: Mapping[str, float]) -> Array:
+    def initial_p(self, stated: Array, start: Mapping[str, float]) -> Array:
         """All parameters with these starting values; a run without one has that of the others."""
         p = np.concatenate([stated, np.zeros(len(self.split))])
         for name, value in start.items():
@@ -124,7 +124,7 @@ class RunValues:
             p[self.size + i] = start.get(name, p[self._place[plain(name)]])
         return p
 
-    def own(self, p: Array, run: Run) -> Array:
+    def of_run(self, p: Array, run: Run) -> Array:
         """Parameters of the vehicle in one run; a run without values of its own has the means of the others.
 
         p: (n_parameters + values by run,). Returns (n_parameters,).
@@ -144,7 +144,7 @@ class RunValues:
         names = [value_name(n, run.origin) if n in self.by_run else n for n in self.names]
         return np.array([self.free.index(n) if n in self.free else -1 for n in names], dtype=np.intp)
 
-    def spread(self, J: Array, run: Run) -> Array:
+    def expanded(self, J: Array, run: Run) -> Array:
         """Derivatives (..., n_names) in the parameters of one run, in those of all (..., n_free)."""
         if not self.split:
             return J
@@ -165,19 +165,19 @@ class PositiveMatricesByRun(PositiveMatrices):
 
     def cuts(self, p: Array) -> list[Cut]:
         """What a step from p has to do for every matrix to be positive in every run."""
-        found = ((r, super(PositiveMatricesByRun, self).cuts(self._values.own(p, r))) for r in self._runs)
-        return [Cut(self._values.spread(c.slope, r), c.lacking) for r, cuts in found for c in cuts]
+        found = ((r, super(PositiveMatricesByRun, self).cuts(self._values.of_run(p, r))) for r in self._runs)
+        return [Cut(self._values.expanded(c.slope, r), c.limit) for r, cuts in found for c in cuts]
 
-    def broken(self, p: Array) -> bool:
+    def violated(self, p: Array) -> bool:
         """Whether a matrix is not positive in some run."""
-        return any(super(PositiveMatricesByRun, self).broken(self._values.own(p, r)) for r in self._runs)
+        return any(super(PositiveMatricesByRun, self).violated(self._values.of_run(p, r)) for r in self._runs)
 
     def impossible(self, p: Array) -> list[str]:
         """Names of all matrices that are not positive in some run."""
-        found = (super(PositiveMatricesByRun, self).impossible(self._values.own(p, r)) for r in self._runs)
+        found = (super(PositiveMatricesByRun, self).impossible(self._values.of_run(p, r)) for r in self._runs)
         return list(dict.fromkeys(name for names in found for name in names))
 
-    def moved(self, p: Array, step: Array) -> Array:
+    def after_step(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
         found = p.copy()
         found[list(self._values.places)] += step
@@ -185,7 +185,7 @@ class PositiveMatricesByRun(PositiveMatrices):
 
     def active(self, p: Array) -> list[str]:
         """Names of the limits that hold the parameters back in some run."""
-        found = (super(PositiveMatricesByRun, self).active(self._values.own(p, r)) for r in self._runs)
+        found = (super(PositiveMatricesByRun, self).active(self._values.of_run(p, r)) for r in self._runs)
         return list(dict.fromkeys(name for names in found for name in names))
 
 
@@ -194,9 +194,9 @@ class PositiveMatricesByRun(PositiveMatrices):
 class ResidualSettings:
     """Numbers of sensor delays, dead times and spikes in the weak residual."""
 
-    # Samples to either side of an instant. A kernel that dampens what the test functions see would dampen the
-    # noise with it, and a delay would be believed for that alone: with four the gain keeps within 0.001 of 1
-    # up to 0.15 of the sampling rate, with three it does not.
+    # Samples to either side of an instant. A kernel with a gain below one would reduce the noise as well, and
+    # favour a delay for that reason alone: with four the gain is within 0.001 of 1 up to 0.15 of the sampling
+    # rate, with three it is not.
     interpolation: int = 4
     # Sum of squared weights from which uneven samples amplify noise instead of interpolating.
     most_amplified: float = 2.0
@@ -230,16 +230,16 @@ class SensorDelay:
         """How old each of the 2n channels is when it is reported, s."""
         return np.asarray(self._dead_time(p)[0]).ravel()
 
-    def at_its_time(self, t: Array, measured: Array, p: Array) -> Array:
+    def aligned_signals(self, t: Array, measured: Array, p: Array) -> Array:
         """Reported signals (N, 2n), each when it was true; the same array where nothing is late."""
-        return _at_delays(t, measured, self.seconds(p)) if self.present else measured
+        return _delayed(t, measured, self.seconds(p)) if self.present else measured
 
     def in_time(self, s: Segment, p: Array) -> Segment:
         """The segment with each channel at the time that it was true; itself where nothing is late."""
         if not self.present:
             return s
         seconds = self.seconds(p)
-        return _moved(s, seconds) if _known(s, seconds) else s
+        return _moved(s, seconds) if _usable_functions(s, seconds) else s
 
     def residual(self, s: Segment, p: Array, of: Callable[[Segment], Linearised]) -> Linearised:
         """Residual `of` a segment at its true time, and its derivative in the delays as well.
@@ -249,7 +249,7 @@ class SensorDelay:
         if not self.present:
             return of(s)
         seconds = self.seconds(p)
-        functions = _known(s, seconds)
+        functions = _usable_functions(s, seconds)
         if not functions:
             return of(s)
         moved = _moved(s, seconds)
@@ -257,8 +257,8 @@ class SensorDelay:
         J = at.J.copy()
         step = SETTINGS.delay_step * float(np.median(np.diff(s.t)))
         for k, slope in self._slopes(p):
-            # Of the signal alone: differentiated noise would promise a precision that is not there.
-            change = step * slope * _at_delays(s.t, s.rate, seconds)
+            # From the smoothed rate: differentiated noise would suggest a precision that does not exist.
+            change = step * slope * _delayed(s.t, s.rate, seconds)
             J[:, k] += (of(replace(moved, measured=moved.measured + change)).r - at.r) / step
         known = functions * (len(at.r) // s.functions.count)
         inside = np.arange(len(at.r)) < known
@@ -278,7 +278,7 @@ class SensorDelay:
         return ca.Function("report_age", [f.p], [ca.densify(f.report_age), ca.densify(slope)])
 
 
-def _known(s: Segment, seconds: Array) -> int:
+def _usable_functions(s: Segment, seconds: Array) -> int:
     """How many test functions lie before the last instant at which all channels are known, or none.
 
     A segment hardly longer than the delay does not show it and is used as measured. If it dropped out, long
@@ -290,10 +290,10 @@ def _known(s: Segment, seconds: Array) -> int:
 
 
 def _moved(s: Segment, seconds: Array) -> Segment:
-    return replace(s, measured=_at_delays(s.t, s.measured, seconds))
+    return replace(s, measured=_delayed(s.t, s.measured, seconds))
 
 
-def _at_delays(t: Array, signals: Array, seconds: Array) -> Array:
+def _delayed(t: Array, signals: Array, seconds: Array) -> Array:
     """Each signal at the times t plus its own delay."""
     found = signals.copy()
     for delay in np.unique(seconds[seconds != 0]):
@@ -323,14 +323,14 @@ def stencil(t: Array, when: Array) -> tuple[Index, Array]:
     most = SETTINGS.interpolation
     index = np.clip(left[:, None] + np.arange(1 - most, 1 + most), 0, len(t) - 1)
     weight = np.zeros(index.shape)
-    waiting = np.ones(len(when), dtype=bool)
+    pending = np.ones(len(when), dtype=bool)
     for reach in range(most, 0, -1):
-        rows = np.flatnonzero(waiting & (left + 1 >= reach) & (left + reach < len(t)))
+        rows = np.flatnonzero(pending & (left + 1 >= reach) & (left + reach < len(t)))
         columns = slice(most - reach, most + reach)
         found = lagrange(t[index[rows, columns]], when[rows])
         good = (np.sum(found**2, axis=1) <= SETTINGS.most_amplified) | (reach == 1)
         weight[rows[good], columns] = found[good]
-        waiting[rows[good]] = False
+        pending[rows[good]] = False
     return index, weight
 
 
@@ -351,9 +351,9 @@ class Linearised:
     r: Array  # (m,) residual
     J: Array  # (m, n_free) derivative in the free parameters
     start: Array  # (m, n_states) derivative in the effects' own states at the start of the segment
-    # Rows from here on need what was not measured yet when the segment ended, and have no weight
+    # Number of rows before the first that needs reports from after the segment; those have no weight
     known: int | None = None
-    unknown: int = 0  # How many of the last columns of `start` stand for a row each of which nothing is known
+    unknown: int = 0  # How many of the last columns of `start` each stand for an unknown row
 
     def split(self, counts: Sequence[int]) -> list[Linearised]:
         """Parts of so many rows."""
@@ -362,7 +362,7 @@ class Linearised:
         return [Linearised(*arrays) for arrays in zip(*tables, strict=True)]
 
 
-class _At(NamedTuple):
+class _LastLinearisation(NamedTuple):
     """The last linearisation on some data: a fit, its score and its noise need it at the same parameters."""
 
     data: WeakData
@@ -385,10 +385,10 @@ class WeakModel:
         self.free, self.values = tuple(free), RunValues(functions, free, known)
         self.places, local = self.values.places, self.values.local
         self._chain = ActuatorStates(functions, local)
-        self._points = Pointwise(functions, local, actuators_vary=self._chain.moves)
+        self._points = Pointwise(functions, local, actuators_vary=self._chain.varies)
         self._memory = Memory(functions, local, self._points.measured, self._points.true_motion)
         self._sensor_delay = SensorDelay(functions, local)
-        self._known: dict[int, _At] = {}
+        self._cache: dict[int, _LastLinearisation] = {}
 
     @cached_property
     def limits(self) -> PositiveMatrices:
@@ -401,30 +401,30 @@ class WeakModel:
     def largest(self) -> Array:
         """Largest magnitude of every free parameter that a vehicle of this size allows."""
         own = largest_values(self.functions, self.values.names)
-        return own[self.values.behind]
+        return own[self.values.name_index]
 
     def with_free(self, free: Sequence[str]) -> WeakModel:
         """The same equations and constraints with other free parameters."""
         return WeakModel(self.functions, free, dissipative=self._dissipative, known=self.values.known)
 
-    def knowing(self, values: Mapping[str, float]) -> WeakModel:
+    def with_known_values(self, values: Mapping[str, float]) -> WeakModel:
         """The same model with values, by names such as V_N@dive2, in runs that are not fitted."""
         other = copy(self)
-        other.values, other._known = RunValues(self.functions, self.free, values), {}
+        other.values, other._cache = RunValues(self.functions, self.free, values), {}
         return other
 
-    def started(self, start: Mapping[str, float]) -> Array:
+    def initial_p(self, start: Mapping[str, float]) -> Array:
         """All parameters: the vehicle's, those in `start` replaced."""
-        return self.values.started(np.array(self.functions.values(), dtype=float), start)
+        return self.values.initial_p(np.array(self.functions.values(), dtype=float), start)
 
     def linearise(self, data: WeakData, p: Array) -> list[Linearised]:
         """Residual and derivative of every segment, rows ordered by test function, then by equation."""
-        known = self._known.get(id(data))
+        known = self._cache.get(id(data))
         if known is None or known.data is not data or not np.array_equal(known.p, p):
             parts = self._linearised(data, p)
             for array in (a for part in parts for a in (part.r, part.J, part.start)):
-                array.setflags(write=False)  # others will be handed the same
-            known = self._known[id(data)] = _At(data, p.copy(), parts)
+                array.setflags(write=False)  # it is shared
+            known = self._cache[id(data)] = _LastLinearisation(data, p.copy(), parts)
         return list(known.parts)
 
     def require_defined(self, data: WeakData, p: Array) -> None:
@@ -439,25 +439,25 @@ class WeakModel:
                 )
 
     def _linearised(self, data: WeakData, p: Array) -> list[Linearised]:
-        own = [self.values.own(p, run) for run in data.runs]
+        own = [self.values.of_run(p, run) for run in data.runs]
         driven = self._driven(data, own)
-        along = [_Along(s, _cut(driven[s.run], s), own[s.run]) for s in data.segments]
+        along = [_SegmentInputs(s, _in_segment(driven[s.run], s), own[s.run]) for s in data.segments]
         if self._sensor_delay.present:
-            parts = [self._late(one, data.rows) for one in along]
+            parts = [self._with_sensor_delay(one, data.rows) for one in along]
         else:
-            batches = (self._together(along[part], windows, data.rows) for part, windows in data.batches)
+            batches = (self._evaluated(along[part], windows, data.rows) for part, windows in data.batches)
             parts = list(chain.from_iterable(batches))
         found = []
         for one, part in zip(along, parts, strict=True):
             run = data.runs[one.s.run]
-            spread = replace(part, J=self.values.spread(part.J, run))
-            known = run.t[0] + self._chain.seconds_late(one.p)
-            found.append(_from(known, spread, one.s, data.rows, self._points.size))
+            expanded = replace(part, J=self.values.expanded(part.J, run))
+            known = run.t[0] + self._chain.dead_time(one.p)
+            found.append(_without_past_commands(known, expanded, one.s, data.rows, self._points.size))
         return found
 
-    def _late(self, one: _Along, rows: tuple[int, ...]) -> Linearised:
+    def _with_sensor_delay(self, one: _SegmentInputs, rows: tuple[int, ...]) -> Linearised:
         def of(s: Segment) -> Linearised:
-            return self._together([one._replace(s=s)], s.functions.supports, rows)[0]
+            return self._evaluated([one._replace(s=s)], s.functions.supports, rows)[0]
 
         return self._sensor_delay.residual(one.s, one.p, of)
 
@@ -465,25 +465,25 @@ class WeakModel:
         each = zip(data.runs, data.held, own, strict=True)
         return self._chain.along_each([(r.t, u, q) for r, u, q in each])
 
-    def _together(
-        self, along: Sequence[_Along], windows: Supports, rows: tuple[int, ...]
+    def _evaluated(
+        self, along: Sequence[_SegmentInputs], windows: Supports, rows: tuple[int, ...]
     ) -> list[Linearised]:
         """Residual of segments at once: many are short, and a call takes as long as hundreds of samples."""
         memories = [self._memory.along(s.t, s.measured, a.value, s.u, p) for s, a, p in along]
         each = list(zip(along, memories, strict=True))
         actuation, memory = Actuation.along_all([a for _, a, _ in along]), DrivenSignal.joined(memories)
-        inputs = _joined([self._inputs(s, a, m.value, p) for (s, a, p), m in each])
+        inputs = _stacked([self._inputs(s, a, m.value, p) for (s, a, p), m in each])
         entries = self._entries(inputs, actuation, memory)
         if self._points.held_depends_on_motion:
             later = (
-                self._inputs(replace(s, measured=_next(s.measured)), a, _next(m.value), p)
+                self._inputs(replace(s, measured=_following(s.measured)), a, _following(m.value), p)
                 for (s, a, p), m in each
             )
-            others = self._entries(_joined(list(later)), actuation, memory)
+            others = self._entries(_stacked(list(later)), actuation, memory)
             held = slice(4 * self._points.size, 5 * self._points.size)
             entries = [a.averaged(b, held) for a, b in zip(entries, others, strict=True)]
-        whole = self._tested(entries, windows, rows)
-        return whole.split([s.functions.count * len(rows) for s, _, _ in along])
+        sums = self._weak_sums(entries, windows, rows)
+        return sums.split([s.functions.count * len(rows) for s, _, _ in along])
 
     def _inputs(self, s: Segment, actuation: Actuation, memory: Array, p: Array) -> list[Array]:
         forces = s.u[:, actuation.value.shape[1] :]
@@ -510,26 +510,26 @@ class WeakModel:
             ]
         return entries
 
-    def _tested(self, entries: list[Entries], windows: Supports, rows: tuple[int, ...]) -> Linearised:
+    def _weak_sums(self, entries: list[Entries], windows: Supports, rows: tuple[int, ...]) -> Linearised:
         width, last = max(e.width for e in entries), 1 + len(self.values.names)
         place = np.full(2 * self._points.size, -1)
         place[list(rows)] = np.arange(len(rows))
-        met = [meeting(e.row, self._points.size) for e in entries]
+        met = [weights_and_equation(e.row, self._points.size) for e in entries]
         target = [
             np.where(place[equation] >= 0, place[equation] * width + e.column, -1)
             for e, (_, equation) in zip(entries, met, strict=True)
         ]
-        table = tested(windows, entries, [kind for kind, _ in met], target, len(rows) * width)
+        table = weighted_sums(windows, entries, [kind for kind, _ in met], target, len(rows) * width)
         stacked = table.reshape(-1, width)
         return Linearised(stacked[:, 0].copy(), stacked[:, 1:last].copy(), stacked[:, last:].copy())
 
     def whitening(self, data: WeakData, p: Array) -> list[Whitening]:
         """Whitening of every segment under the noise of the channels, at parameters p."""
-        own = [self.values.own(p, run) for run in data.runs]
+        own = [self.values.of_run(p, run) for run in data.runs]
         driven = self._driven(data, own)
         pairs = ((s, own[s.run]) for s in data.segments)
         return [
-            self._segment_whitening(self._sensor_delay.in_time(s, q), _cut(driven[s.run], s), data, q)
+            self._segment_whitening(self._sensor_delay.in_time(s, q), _in_segment(driven[s.run], s), data, q)
             for s, q in pairs
         ]
 
@@ -545,7 +545,7 @@ class WeakModel:
         return Whitening(noise, overlap(s.functions, s.t, rows), np.zeros(rows * s.functions.count))
 
 
-class _Along(NamedTuple):
+class _SegmentInputs(NamedTuple):
     """A segment, the actuation along it, and the parameters of its run."""
 
     s: Segment
@@ -553,13 +553,13 @@ class _Along(NamedTuple):
     p: Array
 
 
-def _joined(inputs: Sequence[list[Array]]) -> list[Array]:
+def _stacked(inputs: Sequence[list[Array]]) -> list[Array]:
     """Inputs of segments one after the other; one that is the same for all samples stays so if it can."""
     counts = [len(each[0]) for each in inputs]
-    return [_in_a_row(same, counts) for same in zip(*inputs, strict=True)]
+    return [_stacked_or_shared(same, counts) for same in zip(*inputs, strict=True)]
 
 
-def _in_a_row(arrays: Sequence[Array], counts: Sequence[int]) -> Array:
+def _stacked_or_shared(arrays: Sequence[Array], counts: Sequence[int]) -> Array:
     first = arrays[0]
     if first.ndim > 1:
         return np.concatenate(arrays)
@@ -568,12 +568,12 @@ def _in_a_row(arrays: Sequence[Array], counts: Sequence[int]) -> Array:
     return np.repeat(np.stack(arrays), counts, axis=0)
 
 
-def _next(values: Array) -> Array:
+def _following(values: Array) -> Array:
     """The values at the samples after; of the last one that of itself."""
     return np.vstack([values[1:], values[-1:]])
 
 
-def _cut(driven: Actuation, s: Segment) -> Actuation:
+def _in_segment(driven: Actuation, s: Segment) -> Actuation:
     parts = [
         DrivenSignal(d.value[s.samples], d.slope[s.samples], d.start[s.samples])
         for d in (driven, driven.before)
@@ -581,7 +581,9 @@ def _cut(driven: Actuation, s: Segment) -> Actuation:
     return Actuation.of(*parts)
 
 
-def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int) -> Linearised:
+def _without_past_commands(
+    begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: int
+) -> Linearised:
     """A residual whose equations of force have no weight where commands from before the log are at work.
 
     They are in no log: each row that depends on them has a direction of its own among the first states.
@@ -599,20 +601,22 @@ def _from(begin: float, part: Linearised, s: Segment, rows: tuple[int, ...], n: 
     return replace(part, start=np.hstack([part.start, directions]), unknown=len(places))
 
 
-def whitened(parts: list[Linearised], whitening: list[Whitening], beside: Array | None = None) -> Linearised:
+def whitened(
+    parts: list[Linearised], whitening: list[Whitening], reference: Array | None = None
+) -> Linearised:
     """All segments together, in units of their noise, without the part due to unknown initial states.
 
-    `beside` (m,) is the whitened residual of a model that this one is compared with. The part removed by
+    `reference` (m,) is the whitened residual of a model that this one is compared with. The part removed by
     unknown initial states is taken from there, so that they bring no advantage.
     """
     lengths = np.cumsum([len(part.r) for part in parts])[:-1]
-    others = [None] * len(parts) if beside is None else np.split(beside, lengths)
+    others = [None] * len(parts) if reference is None else np.split(reference, lengths)
     tables = [_without_start(*triple) for triple in zip(parts, whitening, others, strict=True)]
     table = np.vstack(tables)
     return Linearised(table[:, 0], table[:, 1:], np.zeros((len(table), 0)))
 
 
-def _without_start(part: Linearised, whitening: Whitening, beside: Array | None) -> Array:
+def _without_start(part: Linearised, whitening: Whitening, reference: Array | None) -> Array:
     """Project out the directions of the first states: the rest of the residual does not depend on them."""
     table = whitening(np.column_stack([part.r, part.J, part.start]))
     if part.known is not None:
@@ -622,17 +626,17 @@ def _without_start(part: Linearised, whitening: Whitening, beside: Array | None)
     last = 1 + part.J.shape[1]
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
-    # A start long ago is forgotten: what is left of it would underflow in the product below.
+    # The influence of a distant start has decayed, and would underflow in the product below.
     present = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
     if not present.any():
         return kept
-    if beside is None:
+    if reference is None:
         # The known rows represent the rest: else, the more is unknown, the better a model would look.
         kept = kept * np.sqrt(len(kept) / (len(kept) - part.unknown))
     start = start[:, present] / size[present]
     moved = kept.copy()
-    if beside is not None:
-        moved[:, 0] -= beside
+    if reference is not None:
+        moved[:, 0] -= reference
     return np.asarray(kept - start @ (np.linalg.pinv(start.T @ start, hermitian=True) @ (start.T @ moved)))
 
 
@@ -641,22 +645,22 @@ def without_spikes(data: WeakData) -> WeakData:
 
     Angles and velocities that were derived from others are left alone.
     """
-    return replace(data, segments=tuple(_cleaned(s, data.sigma, data.derived) for s in data.segments))
+    return replace(data, segments=tuple(_despiked(s, data.sigma, data.derived) for s in data.segments))
 
 
-def _cleaned(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
-    measured, doubted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
+def _despiked(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment:
+    measured, downweighted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
         own = segment.reports(k)
         if not (sigma[k] > 0 and k not in derived and len(own) > 4 * SETTINGS.neighbours):
             continue
-        measured[own, k], doubted[own, k] = despiked(segment.t[own], measured[own, k], float(sigma[k]))
-        if doubted[:, k].any() and len(own) < len(segment.t):
+        measured[own, k], downweighted[own, k] = despiked(segment.t[own], measured[own, k], float(sigma[k]))
+        if downweighted[:, k].any() and len(own) < len(segment.t):
             along = between(segment.t, segment.t[own], measured[own, k])
-            beside = np.interp(segment.t, segment.t[own], doubted[own, k].astype(float))
+            spiked = np.interp(segment.t, segment.t[own], downweighted[own, k].astype(float))
             measured[:, k] = np.where(np.isnan(along), measured[:, k], along)
-            doubted[:, k] = beside > 0.0
-    return replace(segment, measured=measured, doubted=doubted) if doubted.any() else segment
+            downweighted[:, k] = spiked > 0.0
+    return replace(segment, measured=measured, downweighted=downweighted) if downweighted.any() else segment
 
 
 def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
@@ -667,9 +671,9 @@ def despiked(t: Array, y: Array, sigma: float) -> tuple[Array, Flags]:
     for _ in range(SETTINGS.spike_rounds):
         guess = np.sum(weight * clean[index], axis=1)
         bend = SETTINGS.bend * np.median(np.abs(np.diff(clean[index], axis=1)), axis=1)
-        far = np.where(spike, 0.0, np.abs(clean - guess) / (spread * sigma + bend))
+        distance = np.where(spike, 0.0, np.abs(clean - guess) / (spread * sigma + bend))
         # A spike makes its neighbours look odd as well: the worst of each neighbourhood goes first.
-        worst = (far > SETTINGS.spike) & (far >= np.max(far[index], axis=1))
+        worst = (distance > SETTINGS.spike) & (distance >= np.max(distance[index], axis=1))
         clean[spike | worst] = guess[spike | worst]
         if not worst.any():
             break

@@ -19,7 +19,7 @@ from undertow.typing import Array, Flags, Index, Integers
 from .data import inverse_of
 from .predictor import Predictor, reported_late
 from .residual import RunValues
-from .windows import Drive, Windows
+from .windows import WindowCommands, Windows
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ShootingSettings:
     # Mean square of a window, in units of that of the middle one, from which its start may be a wrong one.
     wrong_start: float = 2.0
     # Share of the mean square of a window that a step has to gain for another to follow.
-    worth_a_step: float = 0.01
+    least_gain: float = 0.01
     block: float = 5.0  # s; parts of a window that are so long count as independent of each other
     batch: int = 5_000_000  # numbers in the sensitivities of one batch of windows: 40 MB
     # Steps of finite differences: relative to a parameter, and for dead times to a sampling interval.
@@ -81,7 +81,7 @@ def eliminated(parts: list[Products], counts: Array, n: int) -> Reduced:
     windows, size = sum(len(p.squares) for p in parts), len(counts)
     with np.errstate(over="ignore"):
         squares = np.sum([p.squares.sum(axis=0) for p in parts], axis=0)
-    # What nearly diverged may be so large that its squares are beyond all numbers.
+    # The squares of a simulation that nearly diverged may overflow.
     whole = all(np.all(np.isfinite(p.table)) for p in parts) and np.all(np.isfinite(squares))
     if any(p.diverged for p in parts) or not whole:
         return _diverged(windows, n, size)
@@ -110,14 +110,14 @@ def _starts(table: Array, n: int) -> Array:
 
     Normal equations: the columns of a start are few and well conditioned once they are scaled.
     """
-    gram, right = table[:, n:-1, n:-1], _outer(table, n)
+    gram, right = table[:, n:-1, n:-1], _coupling(table, n)
     scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2))
     scale = np.where(scale > 0, scale, 1.0)[:, :, None]
     scaled = gram / (scale * np.swapaxes(scale, 1, 2)) + SETTINGS.regularisation * np.eye(gram.shape[1])
     return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
 
 
-def _outer(table: Array, n: int) -> Array:
+def _coupling(table: Array, n: int) -> Array:
     """Products of the starts with the free columns and the error."""
     return np.concatenate([table[..., n:-1, :n], table[..., n:-1, -1:]], axis=-1)
 
@@ -127,8 +127,8 @@ def _projected(table: Array, back: Array, n: int) -> Array:
     kept = [*range(n), table.shape[-1] - 1]
     own = table[..., kept, :][..., :, kept]
     across = np.swapaxes(back, 1, 2)[:, None]
-    shared = across @ _outer(table, n)
-    # All four terms: to first order a solution that is a little off takes nothing away.
+    shared = across @ _coupling(table, n)
+    # All four terms: an error of the solution then has no effect of first order.
     return np.asarray(
         own - shared - np.swapaxes(shared, -1, -2) + across @ table[..., n:-1, n:-1] @ back[:, None]
     )
@@ -137,7 +137,7 @@ def _projected(table: Array, back: Array, n: int) -> Array:
 def _condensed(gram: Array) -> Array:
     """Few rows with these products of their columns."""
     diagonal = np.diag(gram)
-    # A column that lies in the starts is nil but for rounding, which may be negative.
+    # A column spanned by the starts is zero up to rounding, which may be negative.
     there = diagonal > 0.0
     scale = np.sqrt(np.where(there, diagonal, 1.0))
     cosines = np.where(np.outer(there, there), gram / scale / scale[:, None], 0.0)
@@ -162,9 +162,9 @@ class OneRun(NamedTuple):
 class Shooting:
     """Windows of logs simulated by one model, with derivatives in the parameters `free`.
 
-    `weight` (2n,) is one over the noise of each channel, zero for one that is not used. `trust` (b, k, 2n)
-    weighs each sample in the sum of squares, beside its channel; None: all alike. `values` says where values
-    by run stand in p where these are not among the free parameters.
+    `weight` (2n,) is one over the noise of each channel, zero for one that is not used.
+    `sample_weights` (b, k, 2n) weight samples in the sum of squares in addition; None: all equal. `values`
+    says where values by run are in p if these are not among the free parameters.
     """
 
     def __init__(
@@ -178,8 +178,8 @@ class Shooting:
         values: RunValues | None = None,
     ) -> None:
         self.functions, self.windows, self.free, self.weight = functions, windows, tuple(free), weight
-        self.trust: Array | None = None
-        self._of_starts = False  # derivatives in parameters are of no use
+        self.sample_weights: Array | None = None
+        self._starts_only = False  # derivatives in parameters are of no use
         self._columns = RunValues(functions, free)
         self.values = self._columns if values is None else values
         self.places = list(self._columns.local)
@@ -194,17 +194,17 @@ class Shooting:
             rows, windows = self.windows.of_run(place)
             shooting = copy(self)
             shooting.windows, shooting.free = windows, self._columns.names
-            shooting.predictor, shooting.by_run = self.predictor.another(), []
+            shooting.predictor, shooting.by_run = self.predictor.for_other_windows(), []
             found.append(OneRun(rows, self.windows.runs[place], shooting))
         return found
 
-    def _own(self, one: OneRun, p: Array) -> tuple[Shooting, Array]:
+    def _of_run(self, one: OneRun, p: Array) -> tuple[Shooting, Array]:
         """The windows of one run with the weights of now, and its parameters."""
         one.shooting.weight = self.weight
-        one.shooting.trust = None if self.trust is None else self.trust[one.rows]
-        return one.shooting, self.values.own(p, one.run)
+        one.shooting.sample_weights = None if self.sample_weights is None else self.sample_weights[one.rows]
+        return one.shooting, self.values.of_run(p, one.run)
 
-    def _together(self, by_run: Callable[[OneRun], Array]) -> Array:
+    def _gathered(self, by_run: Callable[[OneRun], Array]) -> Array:
         """The values of the windows of every run, (b, ...), in their order."""
         parts = [by_run(one) for one in self.by_run]
         found = np.empty((len(self.windows), *parts[0].shape[1:]))
@@ -216,16 +216,16 @@ class Shooting:
         """What the sensors would report in every window, shape (b, k, 2n); NaN in the padding."""
 
         def of(one: OneRun) -> Array:
-            shooting, own = self._own(one, p)
+            shooting, own = self._of_run(one, p)
             return shooting.reports(own, starts[one.rows])
 
-        return self._together(of) if self.by_run else self.predictor.reports(self.windows, p, starts)
+        return self._gathered(of) if self.by_run else self.predictor.reports(self.windows, p, starts)
 
     def measured_starts(self, p: Array) -> Array:
         """True pose and velocity at the start of every window as measured, shape (b, 2n)."""
         if self.by_run:
-            return self._together(lambda one: one.shooting.measured_starts(self.values.own(p, one.run)))
-        return self.predictor.start_and_drive(self.windows, p)[0][:, : self._size]
+            return self._gathered(lambda one: one.shooting.measured_starts(self.values.of_run(p, one.run)))
+        return self.predictor.start_and_commands(self.windows, p)[0][:, : self._size]
 
     def fitted_starts(self, p: Array) -> Array:
         """Starts of the windows that fit these parameters best, shape (b, 2n).
@@ -238,7 +238,7 @@ class Shooting:
         # In a velocity that was derived from the pose every sample is far off.
         if any(run.derived for run in self.windows.runs):
             return self._fitted_progressively(every, p, first)[0]
-        starts, squares = self._some(every, length, p)._stepped(p, first)
+        starts, squares = self._subset(every, length, p)._stepped(p, first)
         wrong = np.flatnonzero(squares > SETTINGS.wrong_start * np.median(squares))
         if len(wrong):
             opened, after = self._fitted_progressively(wrong, p, first[wrong])
@@ -257,23 +257,23 @@ class Shooting:
         elapsed, part = windows.t - windows.t[:, :1], SETTINGS.first_part
         while part < np.max(elapsed):
             within = windows.inside & (elapsed <= part)
-            beginning = self._some(rows, int(within.sum(axis=1).max()), p)
-            weight = 1.0 if beginning.trust is None else beginning.trust
-            beginning.trust = np.where(within[:, : beginning.windows.t.shape[1], None], weight, 0.0)
+            beginning = self._subset(rows, int(within.sum(axis=1).max()), p)
+            weight = 1.0 if beginning.sample_weights is None else beginning.sample_weights
+            beginning.sample_weights = np.where(within[:, : beginning.windows.t.shape[1], None], weight, 0.0)
             starts, part = beginning._stepped(p, starts)[0], 2.0 * part
-        return self._some(rows, windows.t.shape[1], p)._stepped(p, starts)
+        return self._subset(rows, windows.t.shape[1], p)._stepped(p, starts)
 
-    def _some(self, rows: Index, most: int, p: Array) -> Shooting:
+    def _subset(self, rows: Index, most: int, p: Array) -> Shooting:
         """Some of the windows, each with its first samples, to fit their starts for these parameters."""
         some = copy(self)
-        for worked_out in ("used", "_reports_states"):
-            vars(some).pop(worked_out, None)
-        some.windows, some._of_starts = self.windows.take(rows, most), True
-        some.trust = None if self.trust is None else self.trust[rows, :most]
+        for cached in ("used", "_reports_states"):
+            vars(some).pop(cached, None)
+        some.windows, some._starts_only = self.windows.take(rows, most), True
+        some.sample_weights = None if self.sample_weights is None else self.sample_weights[rows, :most]
         if self.by_run:
             some.by_run = some._runs()
         else:
-            some.predictor = self.predictor.beginning(self.windows, rows, some.windows, p)
+            some.predictor = self.predictor.for_first_samples(self.windows, rows, some.windows, p)
         return some
 
     def _stepped(self, p: Array, starts: Array) -> tuple[Array, Array]:
@@ -289,7 +289,7 @@ class Shooting:
             tried = starts + at.start_step
             found = self.mean_squares(p, tried)
             better = found < squares
-            gained = np.any(found < (1.0 - SETTINGS.worth_a_step) * squares)
+            gained = np.any(found < (1.0 - SETTINGS.least_gain) * squares)
             starts, squares = np.where(better[:, None], tried, starts), np.minimum(found, squares)
             if not gained:
                 break
@@ -324,12 +324,14 @@ class Shooting:
         if self.by_run:
             return [part for one in self.by_run for part in self._products_of_run(one, p, starts[one.rows])]
         finite = self._by_differences(p, starts)
-        start, drive = self.predictor.start_and_drive(self.windows, p, starts)
-        return [self._part(rows, p, start[rows], drive[rows], finite) for rows in self._batches()]
+        start, commands = self.predictor.start_and_commands(self.windows, p, starts)
+        return [
+            self._batch_products(rows, p, start[rows], commands[rows], finite) for rows in self._batches()
+        ]
 
     def _products_of_run(self, one: OneRun, p: Array, starts: Array) -> Iterator[Products]:
         """Sums over the windows of one run, with a row and a column for every free parameter."""
-        shooting, own = self._own(one, p)
+        shooting, own = self._of_run(one, p)
         columns, more = self._columns.columns(one.run), len(self.free) - len(self._columns.names)
         for part in shooting._products(own, starts):
             size = part.table.shape[-1]
@@ -347,7 +349,8 @@ class Shooting:
 
     def _weights(self, rows: slice) -> Array:
         """Weights of errors, of a shape that broadcasts to (b, k, 2n)."""
-        return self.weight if self.trust is None else self.weight * np.sqrt(self.trust[rows])
+        samples = self.sample_weights
+        return self.weight if samples is None else self.weight * np.sqrt(samples[rows])
 
     def errors(self, p: Array, starts: Array) -> Array:
         """Simulation error over the noise of its channel, whatever its trust; NaN where there is none."""
@@ -367,17 +370,17 @@ class Shooting:
 
     # --- derivatives --------------------------------------------------------------------------
     @cached_property
-    def _indirect(self) -> list[int]:
+    def _acting_before(self) -> list[int]:
         """Which free parameters act on the commands' delay or on the states that a window inherits."""
         f = self.functions
         inherited = [self._dead_times]
         inherited += [f.actuator_rates, f.actuator_rest] if f.actuator_states.shape[0] else []
         inherited += [f.memory_rates] if f.memory.shape[0] else []
-        felt = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
-        return [k for k, place in enumerate(self.places) if place in felt]
+        influential = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
+        return [k for k, place in enumerate(self.places) if place in influential]
 
     @cached_property
-    def _delays(self) -> set[int]:
+    def _delay_parameters(self) -> set[int]:
         return set(ca.jacobian_sparsity(self._dead_times, self.functions.p).get_col())
 
     @property
@@ -387,41 +390,43 @@ class Shooting:
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
         """Derivatives of the report in parameters that act before a window starts, too."""
-        if self._of_starts:
+        if self._starts_only:
             return {}
         return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
 
     def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
         """Derivatives by finite differences in those free parameters that act before a window starts."""
-        return {k: self._difference(p, of, self.places[k]) for k in self._indirect}
+        return {k: self._difference(p, of, self.places[k]) for k in self._acting_before}
 
     def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
         step = SETTINGS.difference * max(abs(p[place]), 1e-3)
-        if place in self._delays:
+        if place in self._delay_parameters:
             step = SETTINGS.delay_difference * sample
         high, low = p[place] + step, p[place] - step
-        if place in self._delays:  # nothing comes before its time
+        if place in self._delay_parameters:  # no dead time is negative
             low = max(low, 0.0)
         ends = []
         for value in (high, low):
             moved = p.copy()
             moved[place] = value
             ends.append(of(moved))
-        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is refused by its cost
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverging simulation is rejected by its cost
             return np.asarray((ends[0] - ends[1]) / (high - low))
 
-    def _part(self, rows: slice, p: Array, start: Array, drive: Drive, finite: dict[int, Array]) -> Products:
+    def _batch_products(
+        self, rows: slice, p: Array, start: Array, commands: WindowCommands, finite: dict[int, Array]
+    ) -> Products:
         t, simulator = self.windows.t[rows], self.predictor.simulator
         measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
-            known = drive.spread(measured), drive.spread(weight), self._groups(drive.t)
-            return simulator.products(start, drive.t, drive.held, p, self.places, *known)
+            known = (commands.zero_filled(measured), commands.zero_filled(weight), self._groups(commands.t))
+            return simulator.products(start, commands.t, commands.held, p, self.places, *known)
         x, s = simulator.run_with_sensitivities(
-            start, drive.t, drive.held, p, self.places, initial=range(self._size)
+            start, commands.t, commands.held, p, self.places, initial=range(self._size)
         )
-        x, s = drive.at_samples(x), drive.at_samples(s)
-        reported, slope = self._late(*self.report_slopes(x, s, drive.u, t, p), rows, p)
+        x, s = commands.at_samples(x), commands.at_samples(s)
+        reported, slope = self._reported_late(*self.report_slopes(x, s, commands.u, t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
         return products_of(reported, slope, measured, weight, self._groups(t))
@@ -430,8 +435,8 @@ class Shooting:
     def _reports_states(self) -> bool:
         """Whether all that is compared are states of the simulation, and nothing acts before a window."""
         sensor_delay = self.predictor.sensor_delay
-        direct = self._of_starts or not self._indirect
-        return self.predictor.sensors_are_true and not sensor_delay.present and direct
+        direct = self._starts_only or not self._acting_before
+        return self.predictor.ideal_sensors and not sensor_delay.present and direct
 
     def _all_weights(self, rows: slice) -> Array:
         """Weight of every error, shape (b, k, 2n); zero where nothing was measured."""
@@ -444,7 +449,7 @@ class Shooting:
             np.int64
         )
 
-    def _late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
+    def _reported_late(self, reported: Array, slope: Array, rows: slice, p: Array) -> tuple[Array, Array]:
         """Report and slopes at the time that they come; what was before a window moves with nothing."""
         if not self.predictor.sensor_delay.present:
             return reported, slope
@@ -455,7 +460,7 @@ class Shooting:
 
     def report_slopes(self, x: Array, s: Array, u: Array, t: Array, p: Array) -> tuple[Array, Array]:
         """Report (b, k, 2n) and its derivative in free parameters and starts (b, k, 2n, n_free + 2n)."""
-        if self.predictor.sensors_are_true:
+        if self.predictor.ideal_sensors:
             return x[..., : self._size], s[..., : self._size, :].copy()
         b, k, nx = x.shape
         columns = [x.reshape(b * k, nx), u.reshape(b * k, -1)]

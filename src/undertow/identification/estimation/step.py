@@ -43,7 +43,7 @@ class StepSettings:
 
 
 SETTINGS = StepSettings()
-PRIOR_WIDTH, NOTHING_SAID = SETTINGS.prior_width, SETTINGS.undetermined
+PRIOR_WIDTH, UNDETERMINED = SETTINGS.prior_width, SETTINGS.undetermined
 
 
 def bounds_of(model: WeakModel) -> tuple[Array, Array]:
@@ -95,8 +95,8 @@ def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
     """Free parameters that are at a limit of what is physical, with that limit."""
     low, high = bounds_of(model)
     values = p[list(model.places)]
-    room = 1e-9 * np.maximum(np.abs(values), 1e-6)
-    below, above = values - low <= room, high - values <= room
+    slack = 1e-9 * np.maximum(np.abs(values), 1e-6)
+    below, above = values - low <= slack, high - values <= slack
     ends = np.where(below, low, high)
     return {n: float(e) for n, e, hit in zip(model.free, ends, below | above, strict=True) if hit}
 
@@ -112,7 +112,7 @@ def prior_of(model: WeakModel) -> tuple[Array, Array]:
             stated = model.functions.vehicle.value_of(other)
             if stated.sigma is not None:
                 by_other = stated.value / factor, abs(factor) / (PRIOR_WIDTH * stated.sigma)
-                centre[k], weight[k] = _together((centre[k], weight[k]), by_other)
+                centre[k], weight[k] = _combined_prior((centre[k], weight[k]), by_other)
     return centre, weight
 
 
@@ -120,8 +120,8 @@ def search_prior(model: WeakModel) -> tuple[Array, Array]:
     """Where a search is drawn to, and how much: stated priors, and for the rest a weak one.
 
     That lies at the stated value, as wide as the size of the vehicle allows. It stops a parameter where the
-    data do not determine it; where they do, it moves it by next to nothing. It is no knowledge: errors do not
-    contain it.
+    data do not determine it; where they do, it hardly moves it. It is not information: standard errors do
+    not include it.
     """
     centre, weight = prior_of(model)
     weak = default_weights(model)
@@ -134,7 +134,7 @@ def default_weights(model: WeakModel) -> Array:
     return np.where(prior_of(model)[1] > 0.0, 0.0, 1.0 / deviation)
 
 
-def moved(model: WeakModel, p: Array) -> Array:
+def prior_distance(model: WeakModel, p: Array) -> Array:
     """Distance of the free parameters from what is stated, in standard deviations, stated or by default."""
     return np.asarray(PRIOR_WIDTH * search_prior(model)[1] * np.abs(p[list(model.places)] - _values(model)))
 
@@ -153,7 +153,7 @@ def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
 Prior = tuple[Array | float, Array | float]
 
 
-def _together(first: Prior, second: Prior) -> tuple[Array, Array]:
+def _combined_prior(first: Prior, second: Prior) -> tuple[Array, Array]:
     """Two priors as one: centres, and one over their standard deviations."""
     square = first[1] ** 2 + second[1] ** 2
     mean = first[1] ** 2 * first[0] + second[1] ** 2 * second[0]
@@ -200,11 +200,11 @@ class SearchSpace:
         self.model, self.places = model, list(model.places)
         self.bounds, self.prior = bounds_of(model), search_prior(model)
         if known is not None:
-            self.prior = _together(self.prior, known)
+            self.prior = _combined_prior(self.prior, known)
         self._priors = self.prior
         self._limits = step_limits(model) if limited else None
 
-    def weigh_priors(self, inflation: float) -> None:
+    def scale_priors(self, inflation: float) -> None:
         """Let priors have their proper weight if residuals are correlated.
 
         Residuals count one each although so many (`Reduced.inflation`) are redundant: the residual of a poor
@@ -216,7 +216,7 @@ class SearchSpace:
 
     def nearest(self, p: Array) -> Array:
         """All parameters, the free ones moved as little as makes the model physical."""
-        return physical(self.model, self.moved(p, np.zeros(len(self.places))), self.bounds)
+        return nearest_physical(self.model, self.after_step(p, np.zeros(len(self.places))), self.bounds)
 
     def step(self, at: Linearised, p: Array) -> Array:
         """Bounded Gauss-Newton step of the free parameters after which the model is physical."""
@@ -225,7 +225,7 @@ class SearchSpace:
             bounds = within_limits(bounds, p[self.places], self._limits)
         return limited_step(self.model, at, p, bounds, self.prior)
 
-    def moved(self, p: Array, step: Array) -> Array:
+    def after_step(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones, which stay within their bounds."""
         after = p.copy()
         after[self.places] = np.clip(p[self.places] + step, *self.bounds)
@@ -256,33 +256,33 @@ def limited_step(
     now, limits = p[list(model.places)], model.limits
     step = bounded_step(at, now, bounds, prior)
     cuts: list[Cut] = []
-    while len(cuts) < SETTINGS.most_cuts and (found := limits.cuts(limits.moved(p, step))):
-        cuts += [Cut(c.slope, c.lacking + float(c.slope @ step)) for c in found]
+    while len(cuts) < SETTINGS.most_cuts and (found := limits.cuts(limits.after_step(p, step))):
+        cuts += [Cut(c.slope, c.limit + float(c.slope @ step)) for c in found]
         step = bounded_step(at, now, bounds, prior, cuts)
-    return _held_back(model, p, step) if cuts else step
+    return _shortened(model, p, step) if cuts else step
 
 
-def _held_back(model: WeakModel, p: Array, step: Array) -> Array:
+def _shortened(model: WeakModel, p: Array, step: Array) -> Array:
     """The largest share of a step that leaves the model physical; all of it where it was not before."""
     limits = model.limits
-    if limits.broken(p) or not limits.broken(limits.moved(p, step)):
+    if limits.violated(p) or not limits.violated(limits.after_step(p, step)):
         return step
     good, bad = 0.0, 1.0
     for _ in range(40):
         middle = (good + bad) / 2
-        good, bad = (good, middle) if limits.broken(limits.moved(p, middle * step)) else (middle, bad)
+        good, bad = (good, middle) if limits.violated(limits.after_step(p, middle * step)) else (middle, bad)
     return good * step
 
 
-def physical(model: WeakModel, p: Array, bounds: tuple[Array, Array]) -> Array:
+def nearest_physical(model: WeakModel, p: Array, bounds: tuple[Array, Array]) -> Array:
     """The parameters themselves where the model is physical with them, else the nearest for which it is."""
-    if not model.limits.broken(p):
+    if not model.limits.violated(p):
         return p
     now = p[list(model.places)]
-    alike = np.diag(1.0 / np.maximum(np.abs(now), 1e-3))
-    at = Linearised(np.zeros(len(now)), alike, np.zeros((len(now), 0)))
+    scale = np.diag(1.0 / np.maximum(np.abs(now), 1e-3))
+    at = Linearised(np.zeros(len(now)), scale, np.zeros((len(now), 0)))
     nothing = np.zeros(len(now)), np.zeros(len(now))
-    return model.limits.moved(p, limited_step(model, at, p, bounds, nothing))
+    return model.limits.after_step(p, limited_step(model, at, p, bounds, nothing))
 
 
 def bounded_step(
@@ -297,22 +297,18 @@ def bounded_step(
     step = np.zeros(len(now))
     if observed.any():
         chosen = Linearised(at.r, at.J[:, observed], at.start)
-        kept = [Cut(c.slope[observed], c.lacking) for c in cuts]
+        kept = [Cut(c.slope[observed], c.limit) for c in cuts]
         limits, stated = ((a[observed], b[observed]) for a, b in (bounds, prior))
         step[observed] = _step(chosen, now[observed], limits, stated, kept)
     return step
 
 
 def _step(
-    at: Linearised,
-    now: Array,
-    bounds: tuple[Array, Array],
-    prior: tuple[Array, Array],
-    cuts: Sequence[Cut],
+    at: Linearised, now: Array, bounds: tuple[Array, Array], prior: tuple[Array, Array], cuts: Sequence[Cut]
 ) -> Array:
     gram, slope = normal_equations(at, now, prior)
     if not (np.isfinite(gram).all() and np.isfinite(slope).all()):
-        return np.zeros(len(now))  # states that grow without bound have no slope to follow
+        return np.zeros(len(now))  # unbounded states have no finite gradient
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
     factor = np.linalg.cholesky(scaled).T
@@ -320,8 +316,8 @@ def _step(
     low, high = ((b - now) / scale for b in bounds)
     if cuts:
         table = np.array([c.slope * scale for c in cuts])
-        least = np.array([c.lacking for c in cuts])
-        return _within(np.asarray(factor), np.asarray(target), low, high, table, least) * scale
+        least = np.array([c.limit for c in cuts])
+        return _constrained(np.asarray(factor), np.asarray(target), low, high, table, least) * scale
     if np.all(np.isinf(low)) and np.all(np.isinf(high)):
         return np.linalg.solve(factor, target) * scale
     return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
@@ -334,7 +330,7 @@ def normal_equations(at: Linearised, now: Array, prior: tuple[Array, Array]) -> 
     return gram, at.J.T @ at.r + stiffness**2 * (now - centre)
 
 
-def _within(factor: Array, target: Array, low: Array, high: Array, table: Array, least: Array) -> Array:
+def _constrained(factor: Array, target: Array, low: Array, high: Array, table: Array, least: Array) -> Array:
     """Least squares under bounds and `table @ z >= least`, as a least distance problem.
 
     That is solved by non-negative least squares (Lawson and Hanson, Solving Least Squares Problems, 1974,
@@ -372,7 +368,7 @@ def estimated(vehicle: Vehicle, values: Mapping[str, float], errors: Mapping[str
     found = {}
     for name, value in values.items():
         known = vehicle.value_of(name)
-        sigma = errors[name] if errors[name] < NOTHING_SAID else known.sigma
+        sigma = errors[name] if errors[name] < UNDETERMINED else known.sigma
         found[name] = replace(known, value=value, sigma=sigma, estimate=True)
     return vehicle.with_values(found)
 
@@ -400,16 +396,16 @@ class Constraints:
         model = WeakModel(Functions(vehicle, equal), kept, dissipative=self.dissipative)
         if equal:
             check_known_leaders(model)
-            _must_be_physical(model)
+            _require_physical(model)
         return model
 
 
-def _must_be_physical(model: WeakModel) -> None:
+def _require_physical(model: WeakModel) -> None:
     """Refuse equalities after which no values of the free parameters give a physical model."""
     p, bounds = np.array(model.functions.values(), dtype=float), bounds_of(model)
     places = list(model.places)
     p[places] = np.clip(p[places], *bounds)
-    broken = model.limits.impossible(physical(model, p, bounds))
+    broken = model.limits.impossible(nearest_physical(model, p, bounds))
     if broken:
         tied = ", ".join(f"{n} = {factor:g} {other}" for n, (other, factor) in model.functions.equal.items())
         raise UndertowError(
@@ -427,7 +423,7 @@ def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[
             if other in equal:
                 other, factor = equal[other][0], factor * equal[other][1]
         for one in (name, other):
-            _must_be_there(one, vehicle)
+            _require_parameter(one, vehicle)
         if other in equal or not factor or not np.isfinite(factor):
             raise UndertowError(
                 f"{name} = {equal[name][1]:g} {equal[name][0]} ties a parameter to itself or to nothing: "
@@ -437,7 +433,7 @@ def _resolved(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> dict[
     return found
 
 
-def _must_be_there(name: str, vehicle: Vehicle) -> None:
+def _require_parameter(name: str, vehicle: Vehicle) -> None:
     if name not in vehicle.parameter_names:
         known = ", ".join(vehicle.parameter_names)
         raise UndertowError(
@@ -449,22 +445,22 @@ def read_equalities(texts: Sequence[str], vehicle: Vehicle) -> dict[str, tuple[s
     """Equalities such as ``Y_vdot = Z_wdot`` or ``N_r = 0.5 M_q``, in the signs of the vehicle's file."""
     found: dict[str, tuple[str, float]] = {}
     for text in texts:
-        name, other, factor = _read(text)
+        name, other, factor = _parsed(text)
         for one in (name, other):
-            _must_be_there(one, vehicle)
+            _require_parameter(one, vehicle)
         if name in found:
             raise UndertowError(f"{text!r}: {name} is on the left side twice")
         found[name] = (other, factor * _sign(other, vehicle) / _sign(name, vehicle))
     return found
 
 
-def written(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> list[str]:
+def written_equalities(equal: Mapping[str, tuple[str, float]], vehicle: Vehicle) -> list[str]:
     """Equalities as `read_equalities` takes them."""
     signs = {n: _sign(other, vehicle) / _sign(n, vehicle) for n, (other, _) in equal.items()}
     return [f"{n} = {factor * signs[n]:.9g} {other}" for n, (other, factor) in equal.items()]
 
 
-def _read(text: str) -> tuple[str, str, float]:
+def _parsed(text: str) -> tuple[str, str, float]:
     match = _EQUALITY.fullmatch(text)
     if match is None:
         raise UndertowError(

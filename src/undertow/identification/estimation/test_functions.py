@@ -95,13 +95,13 @@ class TestFunctions:
 
 
 # Which of them a block of pointwise rows meets: velocity, acceleration, pose, pose rate, held acceleration.
-_MET = np.array([1, 0, 1, 0, 2])
+_WEIGHTS_OF_BLOCK = np.array([1, 0, 1, 0, 2])
 
 
-def meeting(row: Index, n: int) -> tuple[Index, Index]:
+def weights_and_equation(row: Index, n: int) -> tuple[Index, Index]:
     """Kind of weights that each of the 5n pointwise rows meets, and the equation (of 2n) it is part of."""
     block = row // n
-    return _MET[block], row % n + np.where((block == 2) | (block == 3), n, 0)
+    return _WEIGHTS_OF_BLOCK[block], row % n + np.where((block == 2) | (block == 3), n, 0)
 
 
 def knot_spacing(t: Array) -> float:
@@ -269,8 +269,8 @@ class Entries:
         """Chain rule: nonzeros (rows by k) times `slope` (N, k, m), its first column at `first`."""
         row, through = _places(pattern)
         width = slope.shape[2]
-        felt = np.argwhere(np.any(slope, axis=0)) if slope.size else np.zeros((0, 2), dtype=np.intp)
-        pairs = [(e, j) for i, j in felt for e in np.flatnonzero(through == i)]
+        sensitivity = np.argwhere(np.any(slope, axis=0)) if slope.size else np.zeros((0, 2), dtype=np.intp)
+        pairs = [(e, j) for i, j in sensitivity for e in np.flatnonzero(through == i)]
         table = np.empty((len(data), len(pairs)))
         for k, (e, j) in enumerate(pairs):
             np.multiply(data[:, e], slope[:, through[e], j], out=table[:, k])
@@ -312,9 +312,9 @@ class SumsInC:
         for entry in self._call.values():
             entry.restype = None
 
-    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def weighted(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         chosen = np.flatnonzero(target >= 0)
-        runs = np.ascontiguousarray(_runs(chosen, kind))
+        runs = np.ascontiguousarray(_adjacent_runs(chosen, kind))
         data = np.ascontiguousarray(part.data)
         count, width = windows.weights.shape[1:]
         first, places = (np.ascontiguousarray(a, dtype=np.int64) for a in (windows.first, target))
@@ -332,11 +332,11 @@ class SumsInC:
             pointer(table),
         )
 
-    def products(self, first: Index, felt: Array, bands: Array) -> None:
-        count, rows, width, channels = felt.shape
+    def products(self, first: Index, sensitivity: Array, bands: Array) -> None:
+        count, rows, width, channels = sensitivity.shape
         sizes = map(ctypes.c_int64, (count, rows, width * channels, channels))
         begin = np.ascontiguousarray(first, dtype=np.int64)
-        self._call["PRODUCTS"](*sizes, pointer(begin), pointer(felt), pointer(bands))
+        self._call["PRODUCTS"](*sizes, pointer(begin), pointer(sensitivity), pointer(bands))
 
     def solved(self, factor: Array, right: Array) -> Array:
         columns = -(-right.shape[1] // _SIDE) * _SIDE
@@ -351,16 +351,16 @@ class SumsInC:
 class SumsInNumPy:
     """The same without a compiler."""
 
-    def tested(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
+    def weighted(self, windows: Supports, part: Entries, kind: Index, target: Index, table: Array) -> None:
         index, flat = windows.index, table.reshape(len(table), -1)
         for e in np.flatnonzero(target >= 0):
             weights = windows.weights[kind[e]]
-            # What lies outside the support counts for nothing, whatever it is.
+            # Samples outside the support have no weight, even if they are not finite.
             flat[:, target[e]] += np.sum(np.where(weights == 0, 0.0, weights * part.data[index, e]), axis=1)
 
-    def products(self, first: Index, felt: Array, bands: Array) -> None:
-        count, rows, width, channels = felt.shape
-        flat = felt.reshape(count, rows, width * channels)
+    def products(self, first: Index, sensitivity: Array, bands: Array) -> None:
+        count, rows, width, channels = sensitivity.shape
+        flat = sensitivity.reshape(count, rows, width * channels)
         for apart in range(len(bands) // rows):
             blocks = _shifted_products(flat, first[apart:] - first[: count - apart], channels)
             for a in range(rows):
@@ -400,7 +400,7 @@ def sums_source() -> tuple[str, str]:
     return "\n".join([*names, EXPORTED, text]), prefix
 
 
-def _runs(chosen: Index, kind: Index) -> Index:
+def _adjacent_runs(chosen: Index, kind: Index) -> Index:
     """Stretches of neighbours of one kind among the chosen signals: begin, end, kind."""
     if not len(chosen):
         return np.zeros((0, 3), dtype=np.int64)
@@ -409,7 +409,7 @@ def _runs(chosen: Index, kind: Index) -> Index:
     return np.column_stack([begin, chosen[last] + 1, kind[begin]]).astype(np.int64)
 
 
-def tested(
+def weighted_sums(
     windows: Supports, parts: Sequence[Entries], kind: Sequence[Index], target: Sequence[Index], size: int
 ) -> Array:
     """Sums over each of K windows of weight times signal, (K, size), gathered in the places of the signals.
@@ -418,19 +418,19 @@ def tested(
     """
     table = np.zeros((len(windows.first), size))
     for part, weights, places in zip(parts, kind, target, strict=True):
-        _sums().tested(windows, part, weights, places, table)
+        _sums().weighted(windows, part, weights, places, table)
     return table
 
 
-def products(first: Index, felt: Array) -> Array:
+def products(first: Index, sensitivity: Array) -> Array:
     """Products of all pairs of rows (K, rows, W, channels) whose windows overlap, in LAPACK's lower bands.
 
     Ordered by window, then by row; `first` holds the first sample of every window, in ascending order.
     """
-    count, rows, width, _ = felt.shape
+    count, rows, width, _ = sensitivity.shape
     reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count)))
     bands = np.zeros((reach * rows, count * rows))
-    _sums().products(first, felt, bands)
+    _sums().products(first, sensitivity, bands)
     used = np.flatnonzero(np.any(bands, axis=1))
     return bands[: used[-1] + 1] if len(used) else bands[:1]
 

@@ -26,19 +26,19 @@ class WeakFormSettings:
     """Settings of the fit in the weak form."""
 
     most_steps: int = 15
-    # Predicted reduction of chi-square below which a step cannot change any judgement.
+    # Predicted reduction of chi-square below which a step is negligible.
     least_reduction: float = 0.01
     shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.02)  # of a step, tried in turn until the cost falls
     # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one.
     matching_steps: int = 4
     # Largest mean square of an equation that still counts as noise of the channels.
-    noise_explains: float = 1.6
+    noise_limit: float = 1.6
     # The same, up to which a fit without any disturbance may bring it down to that.
-    worth_without_disturbance: float = 30.0
+    without_disturbance_limit: float = 30.0
     noise_rounds: int = 6
     noise_converged: float = 0.2  # change of the logarithm of an intensity with which the rounds end
     # Relative change of a parameter from which the covariance by the sensors' noise is recomputed.
-    noise_moved: float = 0.05
+    noise_update: float = 0.05
 
 
 SETTINGS = WeakFormSettings()
@@ -65,7 +65,7 @@ def with_process_noise(sensor_noise: list[Whitening], disturbance: Array, data: 
     ]
 
 
-def first_guess(model: WeakModel, data: WeakData, p: Array) -> Array:
+def initial_disturbance(model: WeakModel, data: WeakData, p: Array) -> Array:
     """Intensity of process noise that would explain the whole residual of the unfitted model."""
     raw = np.concatenate([part.r for part in model.linearise(data, p)])
     lengths = [float(np.mean(s.functions.held.sum(axis=1))) for s in data.segments]
@@ -89,7 +89,7 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
-    return bool(np.nanmax(mean_square(at.r, data)) < SETTINGS.noise_explains)
+    return bool(np.nanmax(mean_square(at.r, data)) < SETTINGS.noise_limit)
 
 
 @dataclass(frozen=True)
@@ -162,28 +162,28 @@ def fit_weak(
     share of the sum of squares.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
-    p = model.started(start or {})
+    p = model.initial_p(start or {})
     if whitening is not None and disturbance is not None:
-        return _solved(model, p, data, whitening, disturbance, max_iterations, tolerance)
+        return _gauss_newton(model, p, data, whitening, disturbance, max_iterations, tolerance)
     model.require_defined(data, p)
-    disturbance = first_guess(model, data, p)
-    loud = with_process_noise(model.whitening(data, p), disturbance, data)
-    return with_reestimated_noise(_solved(model, p, data, loud, disturbance, max_iterations))
+    disturbance = initial_disturbance(model, data, p)
+    noise = with_process_noise(model.whitening(data, p), disturbance, data)
+    return with_reestimated_noise(_gauss_newton(model, p, data, noise, disturbance, max_iterations))
 
 
 def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
     """Fit like `fit_weak`, with values by run for parameters that differ between the runs.
 
     Those are the parameters that the vehicle file marks with `per_run`, and variable ones that differ
-    significantly (see `separated`).
+    significantly (see `split_between_runs`).
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, None, _PLAIN)
     stated = stated_by_run(model.functions.vehicle, model.values.names)
     model = model.with_free(with_values_by_run(model.free, stated, origins(data.runs)))
-    return separated(fit_weak(model, data))
+    return split_between_runs(fit_weak(model, data))
 
 
-def separated(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
+def split_between_runs(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
     """The fit with values by run for those common parameters that differ significantly between runs.
 
     `among` are the parameters in question; by default all variable ones.
@@ -197,7 +197,7 @@ def separated(fit: WeakFit, among: Collection[str] | None = None) -> WeakFit:
         values = split.p[list(model.places)]
         worst, chance = least_differing(model, values, split.covariance, groups)
         if chance < BETWEEN_RUNS.chance:
-            return separated(with_reestimated_noise(split), among)
+            return split_between_runs(with_reestimated_noise(split), among)
         groups.pop(worst)
     return fit
 
@@ -211,12 +211,12 @@ def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> W
     sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
     for _ in range(most):
         # The covariance by the sensors' noise is expensive, and depends on the parameters only weakly.
-        if _moved(fit.p, at):
+        if _noise_outdated(fit.p, at):
             sensor_noise, at = fit.model.whitening(fit.data, fit.p), fit.p
         disturbance = matched_disturbance(fit, sensor_noise)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
         whitening = with_process_noise(sensor_noise, disturbance, fit.data)
-        fit = _solved(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
+        fit = _gauss_newton(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
         if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
     return _without_disturbance(fit)
@@ -231,16 +231,16 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
         return fit
     sensor_noise = fit.model.whitening(fit.data, fit.p)
     left = mean_square(whitened(fit.model.linearise(fit.data, fit.p), sensor_noise).r, fit.data)
-    if np.nanmax(left) > SETTINGS.worth_without_disturbance:
+    if np.nanmax(left) > SETTINGS.without_disturbance_limit:
         return fit
-    none = np.zeros_like(fit.disturbance)
-    other = _solved(fit.model, fit.p, fit.data, sensor_noise, none, SETTINGS.most_steps)
+    zero = np.zeros_like(fit.disturbance)
+    other = _gauss_newton(fit.model, fit.p, fit.data, sensor_noise, zero, SETTINGS.most_steps)
     return other if fits_noise(other.at, fit.data) else fit
 
 
-def _moved(p: Array, since: Array) -> bool:
+def _noise_outdated(p: Array, since: Array) -> bool:
     """Whether a parameter has changed so much that sensor noise enters differently."""
-    return bool(np.any(np.abs(p - since) > SETTINGS.noise_moved * np.abs(since)))
+    return bool(np.any(np.abs(p - since) > SETTINGS.noise_update * np.abs(since)))
 
 
 def start_fit(
@@ -253,19 +253,19 @@ def start_fit(
     steps: int = 0,
     tolerance: float = 0.0,
 ) -> WeakFit:
-    """A model at the start of a search, after a few steps if any, as long as one promises enough."""
-    return _solved(model, model.started(start), data, whitening, disturbance, steps, tolerance)
+    """A model at the start of a search, after a few steps if any, as long as they reduce the cost enough."""
+    return _gauss_newton(model, model.initial_p(start), data, whitening, disturbance, steps, tolerance)
 
 
 def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
     """Sum of squares that is predicted after one more Gauss-Newton step, and the parameters after it."""
     space = SearchSpace(fit.model, limited=True)
     step = space.step(fit.at, fit.p)
-    after = space.moved(fit.p, step)[space.places]
+    after = space.after_step(fit.p, step)[space.places]
     return squared(fit.at.r + fit.at.J @ step), dict(zip(fit.model.free, after.tolist(), strict=True))
 
 
-def _solved(
+def _gauss_newton(
     model: WeakModel,
     p: Array,
     data: WeakData,
@@ -285,8 +285,8 @@ def _solved(
         if cost - predicted < max(SETTINGS.least_reduction, tolerance * squared(at.r)):
             break
         iteration += 1
-        tried = (space.moved(p, share * step) for share in SETTINGS.shares)
-        ends = ((q, whitened(model.linearise(data, q), whitening)) for q in tried)
+        trials = (space.after_step(p, share * step) for share in SETTINGS.shares)
+        ends = ((q, whitened(model.linearise(data, q), whitening)) for q in trials)
         limit = cost * (1 + 1e-12)
         found = next((end for end in ends if space.cost(end[0], squared(end[1].r)) <= limit), None)
         if found is None:  # no share of the step helps, and the next one would be the same
@@ -325,46 +325,46 @@ def fit_instrumental(
     model = constraints.model(vehicle, free_parameters(vehicle) if free is None else free)
     data = prepare(runs, vehicle)
     require_equations(model, data, "instrumental")
-    plain = fit_weak(model, data)
-    return _Instruments(model, plain, cut(runs, vehicle, horizon)).fit()
+    weak = fit_weak(model, data)
+    return _Instruments(model, weak, cut(runs, vehicle, horizon)).fit()
 
 
 class _Instruments:
     """Solves J_s' W (r - e) = 0, J_s the regressor of the simulated motion, e the excess by noise."""
 
-    def __init__(self, model: WeakModel, plain: WeakFit, windows: Windows) -> None:
-        self._model, self._plain, self._windows = model, plain, windows
+    def __init__(self, model: WeakModel, weak: WeakFit, windows: Windows) -> None:
+        self._model, self._weak, self._windows = model, weak, windows
         self._predictor = Predictor(model.functions)
 
     def fit(self) -> WeakFit:
-        space, p, taken = SearchSpace(self._model), self._plain.p, 0
-        while taken < INSTRUMENTAL.most_steps:
-            taken += 1
-            at = self._at(p)
+        space, p, iterations = SearchSpace(self._model), self._weak.p, 0
+        while iterations < INSTRUMENTAL.most_steps:
+            iterations += 1
+            at = self._linearised(p)
             step = space.step(at, p)
-            p = space.moved(p, step)
+            p = space.after_step(p, step)
             if np.linalg.norm(at.J @ step) < INSTRUMENTAL.shortest_step:
                 break
-        return replace(self._plain, p=p, at=self._at(p), iterations=taken)
+        return replace(self._weak, p=p, at=self._linearised(p), iterations=iterations)
 
-    def _at(self, p: Array) -> Linearised:
+    def _linearised(self, p: Array) -> Linearised:
         """Whitened residual of the measured motion less its excess, and the instruments."""
-        data = self._plain.data
+        data = self._weak.data
         simulated = self._simulated(p)
-        # Weights by the measured motion would know of its noise as well.
+        # Weights computed from the measured motion would be correlated with its noise.
         sensor_noise = self._model.whitening(simulated, p)
-        whitening = with_process_noise(sensor_noise, self._plain.disturbance, simulated)
-        smooth = self._model.linearise(simulated, p)
-        excess = self._excess(simulated, [part.r for part in smooth], p)
+        whitening = with_process_noise(sensor_noise, self._weak.disturbance, simulated)
+        noise_free = self._model.linearise(simulated, p)
+        excess = self._noise_excess(simulated, [part.r for part in noise_free], p)
         measured = self._model.linearise(data, p)
         parts = [
-            replace(s, r=m.r - e, known=m.known) for s, m, e in zip(smooth, measured, excess, strict=True)
+            replace(s, r=m.r - e, known=m.known) for s, m, e in zip(noise_free, measured, excess, strict=True)
         ]
         return whitened(parts, whitening)
 
     def _simulated(self, p: Array) -> WeakData:
         """The data with the simulated motion for the measured one, where a window covers it."""
-        windows, data = self._windows, self._plain.data
+        windows, data = self._windows, self._weak.data
         reports = self._predictor.reports(windows, p)
         if not np.isfinite(reports[windows.inside]).all():
             raise UndertowError(
@@ -378,13 +378,13 @@ class _Instruments:
             motion[run][rows[inside]] = values[inside]
         return replace(data, segments=tuple(_replaced(s, motion[s.run]) for s in data.segments))
 
-    def _excess(self, simulated: WeakData, smooth: list[Array], p: Array) -> list[Array]:
+    def _noise_excess(self, simulated: WeakData, noise_free: list[Array], p: Array) -> list[Array]:
         """Mean of the residual over the noise of the channels, less the residual without noise."""
-        found = [np.zeros(len(r)) for r in smooth]
-        for channel in np.flatnonzero(self._plain.data.sigma > 0):
+        found = [np.zeros(len(r)) for r in noise_free]
+        for channel in np.flatnonzero(self._weak.data.sigma > 0):
             for sign in (INSTRUMENTAL.node, -INSTRUMENTAL.node):
                 moved = self._model.linearise(_shifted(simulated, int(channel), sign), p)
-                for total, part, r in zip(found, moved, smooth, strict=True):
+                for total, part, r in zip(found, moved, noise_free, strict=True):
                     total += INSTRUMENTAL.weight * (part.r - r)
         return found
 
@@ -405,15 +405,15 @@ def _shifted(data: WeakData, channel: int, sigmas: float) -> WeakData:
 class AdaptationSettings:
     """Numbers of the adaptation to a run."""
 
-    # Share of a run from which what belongs to it is estimated; the rest judges. A current or a trim takes
-    # a few manoeuvres to show, and what judges should be the larger part.
+    # Share of a run from which its own values are estimated; the rest is for validation. A current or a trim
+    # takes a few manoeuvres to show, and the validation part should be the larger one.
     share: float = 1.0 / 3.0
 
 
 ADAPTATION = AdaptationSettings()
 
 
-def of_each_run(vehicle: Vehicle) -> tuple[str, ...]:
+def per_run_parameters(vehicle: Vehicle) -> tuple[str, ...]:
     """Parameters that have a value in every run: those with ``per_run = true`` that may be estimated."""
     values = ((n, vehicle.value_of(n)) for n in vehicle.parameter_names)
     return tuple(n for n, value in values if value.per_run and value.estimate)
@@ -427,7 +427,7 @@ def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
     the fitted runs) is the prior. Nothing is estimated from the scored part. Without such parameters, vehicle
     and run are returned unchanged.
     """
-    names = of_each_run(vehicle)
+    names = per_run_parameters(vehicle)
     if not names:
         return vehicle, run
     end = end_of_first_part(run)
@@ -435,7 +435,7 @@ def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
     rest = rest.with_notes(f"{', '.join(names)} from the run up to {end:.4g} s; the rest is for validation")
     try:
         return fit_weak(vehicle, prepare([first], vehicle), names).vehicle, rest
-    except UndertowError:  # too short for the weak form, or without a finite force: the mean has to do
+    except UndertowError:  # too short for the weak form, or without a finite force: the mean is used
         return vehicle, rest
 
 
@@ -452,7 +452,7 @@ def first_part(run: Run, vehicle: Vehicle, sigma: Array | None = None) -> WeakDa
         return None
 
 
-def values_in(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
+def values_in_runs(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, float]:
     """Values in runs that a fit was not fitted to, by names such as V_N@dive2, from their first parts."""
     found: dict[str, float] = {}
     names = list(fit.model.values.by_run)
@@ -475,7 +475,7 @@ def in_run(fit: Fitted, run: Run) -> tuple[Vehicle, Run]:
 
 
 def used_in_estimation(fit: Fitted, runs: Sequence[Run], run: Index, time: Array) -> Flags:
-    """Which rows or windows, of these runs and at these times, a fit has learned values of the run from."""
+    """Which rows or windows, of these runs and at these times, were used to estimate values of their run."""
     known = {run_of(name) for name in fit.model.values.known}
     ends = np.array([end_of_first_part(r) if r.origin in known else -np.inf for r in runs])
     return np.asarray(time < ends[run])
@@ -485,15 +485,15 @@ def estimation_part_factor(squares: Array, first: Flags, group: Index) -> Array:
     """Factor, at least 1, that raises squares in the part used for estimation to the level of the rest.
 
     squares: (m,) or (m, n), by row or window and quantity.
-    first: (m,), what was learned from.
+    first: (m,), what was used for estimation.
     group: (m,), groups that count by themselves, such as runs.
     """
     factor = np.ones(squares.shape)
     for number in np.unique(group[first]):
-        learned, rest = ((group == number) & rows for rows in (first, ~first))
+        used, rest = ((group == number) & rows for rows in (first, ~first))
         if rest.any():
-            means = [np.mean(squares[rows], axis=0) for rows in (learned, rest)]
-            factor[learned] = np.maximum(means[1] / np.maximum(means[0], 1e-300), 1.0)
+            means = [np.mean(squares[rows], axis=0) for rows in (used, rest)]
+            factor[used] = np.maximum(means[1] / np.maximum(means[0], 1e-300), 1.0)
     return factor
 
 

@@ -19,7 +19,7 @@ from undertow.identification.logs.run import GAPS, Run, unwrapped
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
-from .data import around, channel_noise, local_polynomial
+from .data import channel_noise, local_polynomial, samples_around
 from .inputs import held_commands
 
 _ANGLES = ("phi", "psi")
@@ -37,11 +37,11 @@ class WindowSettings:
     widths: tuple[int, ...] = (2, 3, 5)
     widths_of_angles: tuple[int, ...] = (2, 3, 5, 10, 20, 40)
     # A fit that misses its samples by more than noise does in one of a hundred cases is not used.
-    refused: float = 0.01
+    misfit_level: float = 0.01
     # A sample further off than this many ranges of its neighbours is an outlier.
     outlier: float = 3.0
     # Share of a sampling interval by which an arrival may miss a sample and still count as one with it.
-    together: float = 1e-6
+    same_time: float = 1e-6
 
 
 SETTINGS = WindowSettings()
@@ -93,9 +93,9 @@ class Windows:
         return held_commands(self.runs, self.commands)
 
     @cached_property
-    def prompt(self) -> Drive:
+    def undelayed_commands(self) -> WindowCommands:
         """The commands of the windows, which arrive at once."""
-        return Drive.at_once(self.t, _along(self, self.held, self.samples))
+        return WindowCommands.undelayed(self.t, _by_window(self, self.held, self.samples))
 
     def __len__(self) -> int:
         return len(self.run)
@@ -247,11 +247,7 @@ def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
 
 
 def _windows_of(
-    runs: Sequence[Run],
-    vehicle: Vehicle,
-    horizon: float | None,
-    sigma: Array | None,
-    segments: list[Segment],
+    runs: Sequence[Run], vehicle: Vehicle, horizon: float | None, sigma: Array | None, segments: list[Segment]
 ) -> Windows:
     """The windows of all segments side by side, padded to the longest."""
     names = (*vehicle.pose_names, *vehicle.velocity_names)
@@ -293,10 +289,12 @@ def start_values(
     """
     value = np.zeros((len(at), len(names)))
     there = np.isfinite(measured).all(axis=0)
-    turned = _angles_turned(t, dict(zip(names, measured.T, strict=True)))
+    integrated = _integrated_angles(t, dict(zip(names, measured.T, strict=True)))
     for i in np.flatnonzero(there).tolist():
-        known = turned.get(names[i], np.zeros(len(t)))
-        widths, degree = (SETTINGS.widths, 2) if names[i] not in turned else (SETTINGS.widths_of_angles, 1)
+        known = integrated.get(names[i], np.zeros(len(t)))
+        widths, degree = (
+            (SETTINGS.widths, 2) if names[i] not in integrated else (SETTINGS.widths_of_angles, 1)
+        )
         rest = measured[:, i] - known
         own = np.flatnonzero(np.isfinite(rest if reported is None else reported[:, i]))
         own = own if len(own) else np.arange(len(t))
@@ -314,7 +312,7 @@ def _in_between(t: Array, own: Index, smooth: Callable[[Index], Array], at: Inde
     return np.asarray((1.0 - share) * smooth(before) + share * smooth(after))
 
 
-def _angles_turned(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
+def _integrated_angles(t: Array, channels: dict[str, Array]) -> dict[str, Array]:
     """Integral of the measured Euler rates along a segment, for the angles whose rates are measured."""
     zero = np.zeros(len(t))
     phi, theta, p, q, r = (np.nan_to_num(channels.get(n, zero)) for n in ("phi", "theta", "p", "q", "r"))
@@ -341,7 +339,7 @@ def local_value(
         if len(t) < 2 * width + 1:
             break
         fitted, _, misfit = local_polynomial(t, y[:, None], at, width, degree)
-        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, SETTINGS.refused)
+        good = misfit[:, 0] <= sigma**2 * chdtri(2 * width - degree, SETTINGS.misfit_level)
         value = np.where(good, fitted[:, 0], value)
     return value
 
@@ -350,20 +348,20 @@ def _without_outlier(y: Array, at: Index, sigma: float) -> Array:
     """The samples themselves; one that stands far off all of its neighbours is replaced by their median."""
     if len(y) < 2 * SETTINGS.widths[0] + 1:
         return np.asarray(y[at])
-    near = around(at, SETTINGS.widths[0], len(y))
+    near = samples_around(at, SETTINGS.widths[0], len(y))
     # Each row without its own sample; NumPy's functions for NaN take five times as long.
     neighbours = np.sort(y[near][near != at[:, None]].reshape(len(at), 2 * SETTINGS.widths[0]), axis=1)
     low, high = neighbours[:, 0], neighbours[:, -1]
     margin = SETTINGS.outlier * (high - low + 2 * sigma)
-    lone = (y[at] < low - margin) | (y[at] > high + margin)
-    return np.where(lone, np.median(neighbours, axis=1), y[at])
+    outlying = (y[at] < low - margin) | (y[at] > high + margin)
+    return np.where(outlying, np.median(neighbours, axis=1), y[at])
 
 
 S = TypeVar("S", bound=np.generic)
 
 
 @dataclass(frozen=True)
-class Drive:
+class WindowCommands:
     """Commands of windows, side by side."""
 
     u: Array  # (b, k, n_commands) commands at work from each sample on
@@ -374,14 +372,14 @@ class Drive:
     samples: Index | None = None  # (b, k) which instants are the samples; None: all are
 
     @classmethod
-    def at_once(cls, t: Array, u: Array) -> Drive:
+    def undelayed(cls, t: Array, u: Array) -> WindowCommands:
         """Commands that arrive when they are given: times (b, k) in s and commands (b, k, n_commands)."""
         return cls(u, t, u)
 
-    def __getitem__(self, rows: slice | Index) -> Drive:
+    def __getitem__(self, rows: slice | Index) -> WindowCommands:
         """The commands of some of the windows."""
         samples = None if self.samples is None else self.samples[rows]
-        return Drive(self.u[rows], self.t[rows], self.held[rows], samples)
+        return WindowCommands(self.u[rows], self.t[rows], self.held[rows], samples)
 
     def at_samples(self, values: Array) -> Array:
         """Values computed for every instant, (b, m, ...), at the samples alone, (b, k, ...)."""
@@ -390,7 +388,7 @@ class Drive:
         rest = (1,) * (values.ndim - 2)
         return np.take_along_axis(values, self.samples.reshape(*self.samples.shape, *rest), axis=1)
 
-    def spread(self, values: Array) -> Array:
+    def zero_filled(self, values: Array) -> Array:
         """What there is at the samples, (b, k, ...), with zeros at all other instants, (b, m, ...).
 
         Where padding repeats the last sample, the first of these keeps its value.
@@ -403,38 +401,38 @@ class Drive:
         return found
 
 
-def arriving(windows: Windows, delay: float) -> Drive:
+def delayed_commands(windows: Windows, delay: float) -> WindowCommands:
     """Commands of windows that arrive `delay` s late; before a run, its first ones."""
     if delay == 0.0:
-        return windows.prompt
-    instants, places, arrived = zip(*(_instants(run.t, delay) for run in windows.runs), strict=True)
-    samples = _along(windows, places, windows.samples)
+        return windows.undelayed_commands
+    instants, places, arrived = zip(*(_switching_times(run.t, delay) for run in windows.runs), strict=True)
+    samples = _by_window(windows, places, windows.samples)
     first, last = samples[:, :1], samples[:, -1:]
     steps = np.minimum(first + np.arange(np.max(last - first) + 1), last)
-    late = _along(windows, [u[i] for u, i in zip(windows.held, arrived, strict=True)], steps)
+    late = _by_window(windows, [u[i] for u, i in zip(windows.held, arrived, strict=True)], steps)
     samples = samples - first
     u = np.take_along_axis(late, samples[:, :, None], axis=1)
-    return Drive(u, _along(windows, instants, steps), late, samples)
+    return WindowCommands(u, _by_window(windows, instants, steps), late, samples)
 
 
-def late_by(delay: float, t: Array, u: Array) -> Drive:
+def delayed_series(delay: float, t: Array, u: Array) -> WindowCommands:
     """Commands (b, k, n_commands) of the same times (k,) in s that arrive late; before, the first of each."""
     times = np.tile(t, (len(u), 1))
     if delay == 0.0:
-        return Drive.at_once(times, u)
-    instants, places, arrived = _instants(t, delay)
+        return WindowCommands.undelayed(times, u)
+    instants, places, arrived = _switching_times(t, delay)
     late = u[:, arrived]
-    return Drive(late[:, places], np.tile(instants, (len(u), 1)), late, np.tile(places, (len(u), 1)))
+    return WindowCommands(late[:, places], np.tile(instants, (len(u), 1)), late, np.tile(places, (len(u), 1)))
 
 
-def _along(windows: Windows, of_runs: Sequence[NDArray[S]], rows: Index) -> NDArray[S]:
+def _by_window(windows: Windows, of_runs: Sequence[NDArray[S]], rows: Index) -> NDArray[S]:
     """What there is of every run, in the rows that belong to each window."""
     return np.stack([of_runs[run][row] for run, row in zip(windows.run, rows, strict=True)])
 
 
-def _instants(t: Array, delay: float) -> tuple[Array, Index, Index]:
+def _switching_times(t: Array, delay: float) -> tuple[Array, Index, Index]:
     """Samples and arrivals in order of time, s; which of them are the samples; and what arrived by then."""
-    slack = SETTINGS.together * float(np.median(np.diff(t)))
+    slack = SETTINGS.same_time * float(np.median(np.diff(t)))
     late = t + delay
     near = t[np.clip(np.searchsorted(t, late - slack), 0, len(t) - 1)]
     between = late[(late < t[-1]) & (np.abs(near - late) > slack)]
@@ -477,7 +475,7 @@ class Prediction:
     def normalised(self) -> dict[str, float]:
         """`rms` over the noise of the channel: 1 is as good as can be."""
         noise = np.maximum(self.windows.sigma, 1e-300)
-        pairs = zip(self.rms.items(), noise[self._there].tolist(), strict=True)
+        pairs = zip(self.rms.items(), noise[self._measured_channels].tolist(), strict=True)
         return {name: rms / sigma for (name, rms), sigma in pairs}
 
     @cached_property
@@ -499,12 +497,12 @@ class Prediction:
         return {n: 100.0 * (1.0 - self.rms[n] / s) for n, s in size.items() if s > 0}
 
     @cached_property
-    def _there(self) -> Index:
+    def _measured_channels(self) -> Index:
         return np.flatnonzero(np.isfinite(self.windows.measured).any(axis=(0, 1)))
 
     def _by_channel(self, values: Array | float) -> dict[str, float]:
         table = np.broadcast_to(values, len(self.names))
-        return {self.names[i]: float(table[i]) for i in self._there}
+        return {self.names[i]: float(table[i]) for i in self._measured_channels}
 
 
 def position_error(prediction: Prediction) -> float:
@@ -550,12 +548,12 @@ class HorizonSettings:
     # Shares of the record where nothing in the model is known to die away.
     shares: tuple[float, float, float] = (0.02, 0.1, 0.4)
     fewest_samples: int = 20  # of the shortest windows: fewer show noise only
-    apart: float = 2.0  # least ratio of one length to the next
+    least_ratio: float = 2.0  # least ratio of one length to the next
     fewest_windows: int = 4  # that the logs together make of the longest
     longest: float = 0.9  # share of a usual segment without gaps that a window may have
     samples: int = 400  # of each run that the damping is averaged over
     # Time constants beyond this many records are as good as infinite: their damping is not seen.
-    unseen: float = 10.0
+    undamped: float = 10.0
 
 
 HORIZONS = HorizonSettings()
@@ -572,15 +570,15 @@ def horizons(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[float, float, float
     record = float(np.sum(segments))
     limit = min(HORIZONS.longest * float(np.median(segments)), record / HORIZONS.fewest_windows)
     known = time_constants(vehicle, runs)
-    known = known[known < HORIZONS.unseen * record]
+    known = known[known < HORIZONS.undamped * record]
     wanted = HORIZONS.multiples if len(known) else HORIZONS.shares
     short, middle, long = (m * (float(known[-1]) if len(known) else limit) for m in wanted)
     sample = max(run.step for run in runs)
     short = max(short, HORIZONS.fewest_samples * sample)
-    middle = max(middle, HORIZONS.apart * short)
-    long = min(max(long, HORIZONS.apart * middle), limit)
-    middle = min(middle, long / HORIZONS.apart)
-    return min(short, middle / HORIZONS.apart), middle, long
+    middle = max(middle, HORIZONS.least_ratio * short)
+    long = min(max(long, HORIZONS.least_ratio * middle), limit)
+    middle = min(middle, long / HORIZONS.least_ratio)
+    return min(short, middle / HORIZONS.least_ratio), middle, long
 
 
 def longest_segment(vehicle: Vehicle, run: Run) -> float:
@@ -610,15 +608,15 @@ def time_constants(vehicle: Vehicle, runs: Sequence[Run]) -> Array:
     They are those of M^-1 d(forcing)/d(nu), averaged over the motion in the logs: for quadratic damping that
     is the damping at the speeds seen. An undamped or growing motion has none.
     """
-    return _dying(np.mean(_rates_seen(vehicle, runs), axis=0))
+    return _decay_times(np.mean(_mean_jacobians(vehicle, runs), axis=0))
 
 
 def time_constants_by_run(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
     """The same for every run by itself."""
-    return [_dying(rates) for rates in _rates_seen(vehicle, runs)]
+    return [_decay_times(rates) for rates in _mean_jacobians(vehicle, runs)]
 
 
-def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
+def _mean_jacobians(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
     """M^-1 d(forcing)/d(nu), averaged over the motion in each run, 1/s."""
     functions = Functions(vehicle)
     rates = ca.jacobian(functions.x_dot[functions.acceleration_rows], functions.nu)
@@ -630,7 +628,7 @@ def _rates_seen(vehicle: Vehicle, runs: Sequence[Run]) -> list[Array]:
     return [_mean_rates(function, vehicle, run, p) for run in runs]
 
 
-def _dying(rates: Array) -> Array:
+def _decay_times(rates: Array) -> Array:
     """Time constants of decaying modes, s, the fastest first."""
     poles = np.linalg.eigvals(rates).real
     return np.sort(-1.0 / poles[poles < 0.0])

@@ -342,7 +342,7 @@ class Regressor:
     def __init__(self, vehicle: Vehicle) -> None:
         names = free_parameters(vehicle) or vehicle.parameter_names
         self._vehicle, self._model = vehicle, WeakModel(Functions(vehicle), names)
-        self.names, self._p = self._model.free, self._model.started({})
+        self.names, self._p = self._model.free, self._model.initial_p({})
         self.equations = len(vehicle.dof_indices)
 
     def most_segments(self) -> int:
@@ -366,7 +366,7 @@ class Regressor:
             moving = [velocities_from_pose(run, self._vehicle.degrees_of_freedom) for run in runs]
             data = prepare(moving, self._vehicle, np.ones(2 * self.equations))
             # A model keeps what it computed of all data that it has seen.
-            parts = self._model.knowing({}).linearise(data, self._p)
+            parts = self._model.with_known_values({}).linearise(data, self._p)
         except UndertowError:
             if len(runs) == 1:
                 return found
@@ -480,10 +480,7 @@ class _Tally:
 
 
 def checked(
-    chosen: Chosen,
-    models: Mapping[str, Vehicle],
-    *,
-    progress: Progress = lambda done, words: None,
+    chosen: Chosen, models: Mapping[str, Vehicle], *, progress: Progress = lambda done, words: None
 ) -> LongLogs:
     """The result of a choice, with the errors of models, by name, over all that was not chosen.
 

@@ -18,7 +18,7 @@ from undertow.identification.estimation.predictor import Predictor
 from undertow.identification.estimation.residual import WeakModel, whitened
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
-from undertow.identification.estimation.windows import late_by
+from undertow.identification.estimation.windows import delayed_series
 from undertow.identification.findings import LongLogs, ResultTable
 from undertow.identification.logs.run import Run
 from undertow.model.parameter import printed
@@ -244,7 +244,7 @@ class Plant:
         memory = np.zeros((len(u), self.functions.memory.numel()))
         start = np.column_stack([np.tile(motion, (len(u), 1)), memory, np.array(rest)])
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.predictor.simulated(start, np.tile(t, (len(u), 1)), late_by(delay, t, u), p)
+            return self.predictor.simulated(start, np.tile(t, (len(u), 1)), delayed_series(delay, t, u), p)
 
 
 @dataclass(frozen=True)
