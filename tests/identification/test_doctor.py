@@ -372,7 +372,7 @@ def test_a_motion_without_a_force_says_nothing_of_units(
 ) -> None:
     """A drifting glider: what makes the motion smaller needs less of the forces that are not there."""
     asked: list[int] = []
-    monkeypatch.setattr(dynamics, "best_of", lambda at, known: asked.append(len(known)))
+    monkeypatch.setattr(dynamics, "decisive_mistake", lambda at, known: asked.append(len(known)))
     t, vehicle = np.arange(0.0, 60.0, 0.1), vehicle_of(usv)
     forces = {n: driven * np.sin(0.7 * t) for n in vehicle.command_names}
     pose = {"x": 10 * np.sin(0.2 * t), "y": 8 * np.cos(0.3 * t), "psi": 2.5 * np.sin(0.1 * t)}

@@ -21,7 +21,7 @@ from undertow.identification.doctor.dynamics import (
     dynamics_of,
     reversed_commands,
     swapped_commands,
-    wirings,
+    wiring_mistakes,
 )
 from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
@@ -147,7 +147,7 @@ def test_the_sign_of_a_command_that_rests_is_not_asked_for() -> None:
     runs = [replace(r, channels={**r.channels, first: np.zeros(len(r.t))}) for r in runs_of(case)]
     at = dynamics_of(vehicle, runs)
     assert at is not None
-    clauses = [m.clause for m in wirings(vehicle, at, Kinematics(runs, vehicle), runs, LogMapping())]
+    clauses = [m.clause for m in wiring_mistakes(vehicle, at, Kinematics(runs, vehicle), runs, LogMapping())]
     assert f"command {first} is reversed" not in clauses
     assert {f"command {name} is reversed" for name in others} <= {*clauses}
 

@@ -19,7 +19,7 @@ from undertow.codegen.simulate import Model
 from undertow.codegen.simulate import compile as compile_model
 from undertow.identification.doctor.clocks import Latency, late_source
 from undertow.identification.doctor.dynamics import (
-    best_of,
+    decisive_mistake,
     dynamic_mistakes,
     dynamics_of,
     other_units,
@@ -30,7 +30,7 @@ from undertow.identification.doctor.dynamics import (
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.doctor.mistakes import in_degrees, with_channels, wrapped_angles
-from undertow.identification.doctor.signs import Weight, _remaining
+from undertow.identification.doctor.signs import SignEvidence, _remaining
 from undertow.identification.findings import Examination, Finding
 from undertow.identification.logs.mapping import LogMapping, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -193,7 +193,7 @@ def test_of_readings_as_simple_the_one_that_explains_most_comes_first() -> None:
     """An exchange with a thruster that does nothing there takes the contradiction away, too."""
     vehicle = load_vehicle("bluerov2-6")
     reversed_, swapped = reversed_commands(vehicle)[0], next(iter(swapped_commands(vehicle)))
-    weights = [(swapped, Weight(np.zeros(1), 0.5, 3)), (reversed_, Weight(np.zeros(1), 0.6, 3))]
+    weights = [(swapped, SignEvidence(np.zeros(1), 0.5, 3)), (reversed_, SignEvidence(np.zeros(1), 0.6, 3))]
     assert _remaining(weights, [w for _, w in weights]) == [reversed_, swapped]
 
 
@@ -227,7 +227,7 @@ def test_a_log_whose_pose_and_velocities_disagree_blames_no_thruster(auv: Case) 
     kinematics, at = Kinematics(slow, vehicle), dynamics_of(vehicle, slow)
     assert at is not None
     assert np.all(kinematics.mismatch(slow).excess > 0.5)
-    blamed = best_of(at, reversed_commands(vehicle))
+    blamed = decisive_mistake(at, reversed_commands(vehicle))
     assert blamed is not None
     assert dynamic_mistakes(vehicle, at, kinematics, slow, LogMapping()) is None
 

@@ -20,7 +20,7 @@ from undertow.typing import Array
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Segment
-from .mistakes import Undo, they_are, with_channels
+from .mistakes import Undo, names_with_verb, with_channels
 from .sensors import LATE_COURSE, Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
@@ -33,19 +33,19 @@ class ClockSettings:
 
     rounds: int = 5  # Gauss-Newton steps for velocities
     converged: float = 0.02  # change, in sampling steps, that ends them
-    sure: float = 5.0  # standard errors of a shift of a source
+    certain: float = 5.0  # standard errors of a shift of a source
     steps: float = 0.5  # sampling steps below which such a shift does not matter
     longest: float = 1.0  # s that a step may change a shift by
     command_rounds: int = 8  # the same for commands
-    command_sure: float = 6.0
+    command_certain: float = 6.0
     command_steps: float = 3.0
     cluster: int = 8  # neighbouring test functions that count as one
     # delays of commands to begin with, s
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
     # Standard errors by which a motion before its commands contradicts a choice of which source is late.
     acausal: float = 3.0
-    known: float = 1.0  # standard error of a delay, s, from which it says nothing
-    gained: float = 0.1  # share of the misfit that a drift of commands must explain
+    known: float = 1.0  # standard error of a delay, s, from which it is not determined
+    least_explained: float = 0.1  # share of the misfit that a drift of commands must explain
 
 
 SETTINGS = ClockSettings()
@@ -63,7 +63,7 @@ class Latency:
 
     def clear(self, step: float) -> bool:
         """Whether the delay is certain, and matters at a sampling step of so many s."""
-        return abs(self.delay) > max(SETTINGS.sure * self.error, SETTINGS.steps * step)
+        return abs(self.delay) > max(SETTINGS.certain * self.error, SETTINGS.steps * step)
 
 
 def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
@@ -74,11 +74,11 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
     """
     channels = kinematics.channels
     sources = [own for group in _SOURCES if (own := tuple(n for n in group if n in channels))]
-    found = _compared(kinematics, runs, sources)
+    found = _latencies(kinematics, runs, sources)
     late = [one.names for one in found if one.clear(runs[0].step)]
     prompt = tuple(n for names in sources if names not in late for n in names)
     beside = [one for one in found if one.names not in late]
-    again = [one for one in _compared(kinematics, runs, [prompt, *late]) if one.names in late]
+    again = [one for one in _latencies(kinematics, runs, [prompt, *late]) if one.names in late]
     return [*_confirmed(kinematics, runs, again), *beside]
 
 
@@ -97,7 +97,7 @@ def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]
 
     choices = [c for size in range(len(clear) + 1) for c in combinations(clear, size)]
     left = np.array([misfit(c) for c in choices])
-    each = SETTINGS.sure**2 * max(1.0, float(left.min()) / weight.size)
+    each = SETTINGS.certain**2 * max(1.0, float(left.min()) / weight.size)
     best = choices[int(np.argmin(left + each * np.array([len(c) for c in choices])))]
     after = kinematics.mismatch(without_latencies(runs, best))
     if np.all((after.excess > EVIDENCE.unreadable) | ~after.moves):
@@ -105,17 +105,17 @@ def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]
     return [one for one in found if one in best or one not in clear]
 
 
-def _compared(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:
+def _latencies(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]) -> list[Latency]:
     """Each source against the one that it comes after most certainly."""
     if len(sources) < 2:
         return []
     value, error = _delays(kinematics, runs, sources)
-    certain = np.where(np.isfinite(error) & (error > 0), value / np.where(error > 0, error, 1.0), -np.inf)
-    other = np.argmax(certain, axis=1)
+    certainty = np.where(np.isfinite(error) & (error > 0), value / np.where(error > 0, error, 1.0), -np.inf)
+    other = np.argmax(certainty, axis=1)
     return [
         Latency(names, sources[j], float(value[i, j]), float(error[i, j]))
         for i, (names, j) in enumerate(zip(sources, other.tolist(), strict=True))
-        if certain[i, j] > 0
+        if certainty[i, j] > 0
     ]
 
 
@@ -131,12 +131,12 @@ def _delays(
     step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
 
     def left(shift: Array) -> Array:
-        rates = kinematics.rates([_earlier(run, sources, shift) for run in runs])
+        rates = kinematics.rates([_advanced(run, sources, shift) for run in runs])
         return np.asarray(((rates.pose - rates.velocity) * weight).ravel())
 
     def table(shift: Array) -> Array:
         slopes = [(left(shift + d) - left(shift - d)) / (2 * step) for d in step * np.eye(count)]
-        moved = [_earlier(run, sources, shift) for run in runs]
+        moved = [_advanced(run, sources, shift) for run in runs]
         others = [
             regressor_of(kinematics, moved, s)
             for s in sensors(kinematics)
@@ -161,7 +161,7 @@ def _delays(
     return value, error
 
 
-def _earlier(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run:
+def _advanced(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run:
     """A run whose sources report so many seconds, (k,), earlier."""
     moved = {}
     for names, delay in zip(sources, delays, strict=True):
@@ -174,7 +174,9 @@ def _earlier(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run
 def without_latencies(runs: Sequence[Run], found: Sequence[Latency]) -> list[Run]:
     """Runs corrected for the sources that are clearly late."""
     late = [one for one in found if one.clear(runs[0].step)]
-    return [_earlier(run, [one.names for one in late], np.array([one.delay for one in late])) for run in runs]
+    return [
+        _advanced(run, [one.names for one in late], np.array([one.delay for one in late])) for run in runs
+    ]
 
 
 @dataclass(frozen=True)
@@ -203,10 +205,10 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], pose
     """
     found = np.zeros(2)
     step = runs[0].step
-    delayed = Sensor("sensor_delay", ("delay s", "drift s"), _columns(names, runs))
+    delayed = Sensor("sensor_delay", ("delay s", "drift s"), _delay_columns(names, runs))
     offsets = [s for s in sensors(kinematics) if s.id == "sensor_bias"]
     for _ in range(SETTINGS.rounds):
-        moved = [_moved(run, names, found) for run in runs]
+        moved = [_velocities_advanced(run, names, found) for run in runs]
         fit = fit_sensor(kinematics, moved, kinematics.rates(moved), delayed, offsets)
         change = np.clip(fit.value, -SETTINGS.longest, SETTINGS.longest)
         found = found + change
@@ -215,7 +217,7 @@ def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], pose
     return Shift(names, poses, float(found[0]), float(found[1]), float(fit.error[1]))
 
 
-def _along(t: Array) -> Array:
+def _run_share(t: Array) -> Array:
     """Time as a share of the run, from -1/2 to 1/2."""
     return (t - t[0]) / max(t[-1] - t[0], 1e-9) - 0.5
 
@@ -232,20 +234,20 @@ def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) ->
     )
 
 
-def _moved(run: Run, names: tuple[str, ...], shift: Array) -> Run:
+def _velocities_advanced(run: Run, names: tuple[str, ...], shift: Array) -> Run:
     """Velocities of a while later, at the times that they belong to."""
-    at = run.t + shift[0] + shift[1] * _along(run.t)
+    at = run.t + shift[0] + shift[1] * _run_share(run.t)
     present = {n: run.channels[n] for n in names}
     return with_channels(run, {n: np.interp(at, run.t, data) for n, data in present.items()})
 
 
-def _columns(names: tuple[str, ...], runs: Sequence[Run]):  # type: ignore[no-untyped-def]
+def _delay_columns(names: tuple[str, ...], runs: Sequence[Run]):  # type: ignore[no-untyped-def]
     places = [VELOCITY.index(n) for n in names]
 
     def columns(at: Samples, s: Segment) -> Array:
         change = np.gradient(at.velocity[:, places], s.times, axis=0)
         late = np.einsum("nij,nj->ni", at.jacobian[:, :, places], change)
-        share = _along(runs[s.run].t)[s.piece]
+        share = _run_share(runs[s.run].t)[s.piece]
         return np.stack([late, late * share[:, None]], axis=2)
 
     return columns
@@ -259,8 +261,8 @@ def clock_findings(
     late = {n: one.delay for one in found if one.clear(step) for n in one.names}
     drifting: set[str] = set()
     for one in shifts(kinematics, without_latencies(runs, found)):
-        if abs(one.drift) > max(SETTINGS.sure * one.drift_error, step):
-            late_by = f"{they_are(one.names)} {{:+.2f}} s late"
+        if abs(one.drift) > max(SETTINGS.certain * one.drift_error, step):
+            late_by = f"{names_with_verb(one.names)} {{:+.2f}} s late"
             how = f"{late_by} at the beginning of a run and {{:+.2f}} s at its end"
             drifting |= {*one.names, *one.poses}
             delay = one.delay + late.get(one.names[0], 0.0) - max(late.get(n, 0.0) for n in one.poses)
@@ -280,26 +282,26 @@ def clock_findings(
         )
 
 
-def late_source(one: Latency, mapping: LogMapping) -> Finding:
+def late_source(latency: Latency, mapping: LogMapping) -> Finding:
     """The finding on a source that is late, and the lines of the mapping file that correct it."""
-    early = one.delay < 0
-    described = {*one.names} <= {*VELOCITY[:3]} and not early
+    early = latency.delay < 0
+    described = {*latency.names} <= {*VELOCITY[:3]} and not early
     effect = ", or the effect sensor_delay can model it" if described else ""
     when = "early against" if early else "late against"
     why = " (if those were late, the motion would precede the commands)" if early else ""
     return Finding(
-        id="late_velocity" if one.names[0] in VELOCITY else "late_pose",
+        id="late_velocity" if latency.names[0] in VELOCITY else "late_pose",
         severity="warning",
-        text=f"{they_are(one.names)} {abs(one.delay):.3f} ± {one.error:.1g} s {when} "
-        f"{', '.join(one.against)}{why}; a `delay` in the mapping file corrects it{effect}",
-        evidence={"delay": one.delay, "error": one.error},
-        mapping=as_toml(delay_edits(one, mapping)),
+        text=f"{names_with_verb(latency.names)} {abs(latency.delay):.3f} ± {latency.error:.1g} s {when} "
+        f"{', '.join(latency.against)}{why}; a `delay` in the mapping file corrects it{effect}",
+        evidence={"delay": latency.delay, "error": latency.error},
+        mapping=as_toml(delay_edits(latency, mapping)),
     )
 
 
-def delay_edits(one: Latency, mapping: LogMapping) -> Edits:
+def delay_edits(latency: Latency, mapping: LogMapping) -> Edits:
     """Changes of a mapping file by which a source is no longer late."""
-    return tuple(delay_edit(mapping, n, one.delay) for n in one.names)
+    return tuple(delay_edit(mapping, n, latency.delay) for n in latency.names)
 
 
 def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
@@ -310,40 +312,40 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     drifting delay, is a clock error.
     """
     step = at.runs[0].step
-    near = _refitted_near(at)
-    constant = _constant(near)
-    both = None if constant is None else _search(near.dynamics, step, constant[0], drifts=True)
+    refit = _refitted_with_delay(at)
+    constant = _constant_delay(refit)
+    both = None if constant is None else _search(refit.dynamics, step, constant[0], drifts=True)
     if constant is None or both is None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
     (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
-    if both[2] < (1 - SETTINGS.gained) * constant[2] and abs(drift) > max(
-        SETTINGS.command_sure * spread, SETTINGS.command_steps * step
+    if both[2] < (1 - SETTINGS.least_explained) * constant[2] and abs(drift) > max(
+        SETTINGS.command_certain * spread, SETTINGS.command_steps * step
     ):
         follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
         how = f"{follows} and by {{:+.2f}} s at its end"
         return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
     delay, sigma = float(found[0]), float(error[0])
-    certain = abs(delay) > max(SETTINGS.command_sure * sigma, SETTINGS.command_steps * step)
+    certainty = abs(delay) > max(SETTINGS.command_certain * sigma, SETTINGS.command_steps * step)
     acausal = _acausal(delay, sigma, step)
-    explains = (certain or acausal) and _explains(at, delay)
-    if certain and explains:
-        return _late(at, delay, sigma, mapping)
+    explains = (certainty or acausal) and _explains(at, delay)
+    if certainty and explains:
+        return _late_commands(at, delay, sigma, mapping)
     known = sigma < SETTINGS.known and any(run.reported for run in at.runs)
     if acausal or known:
-        return _prompt(delay, sigma, acausal=acausal, shifted=acausal and explains)
+        return _latency_note(delay, sigma, acausal=acausal, shifted=acausal and explains)
     return None
 
 
 @dataclass(frozen=True)
-class _Near:
+class _Refit:
     """A model refitted with commands of a delay near the best one, s."""
 
     dynamics: Dynamics
     delay: float
 
 
-def _refitted_near(at: Dynamics) -> _Near:
+def _refitted_with_delay(at: Dynamics) -> _Refit:
     """Begin the search for a delay: Gauss-Newton does not find one of many samples.
 
     The fit to commands that are many samples off may have reduced their force to zero, and would then not
@@ -351,14 +353,14 @@ def _refitted_near(at: Dynamics) -> _Near:
     """
     step = at.runs[0].step
     tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
-    delay = float(max(tried, key=lambda late: at.predicted_reduction(_later(late, 0.0)) or 0.0))
-    fit = at.refitted(undo=_later(delay, 0.0)) if delay else None
-    return _Near(at, 0.0) if fit is None else _Near(replace(at, fit=with_reestimated_noise(fit)), delay)
+    delay = float(max(tried, key=lambda late: at.predicted_reduction(_delayed(late, 0.0)) or 0.0))
+    fit = at.refitted(undo=_delayed(delay, 0.0)) if delay else None
+    return _Refit(at, 0.0) if fit is None else _Refit(replace(at, fit=with_reestimated_noise(fit)), delay)
 
 
-def _constant(near: _Near) -> tuple[Array, Array, float] | None:
-    found = _search(near.dynamics, near.dynamics.runs[0].step, np.array([near.delay, 0.0]), drifts=False)
-    return found if found and np.isfinite(found[1][0]) else None  # without a command nothing tells
+def _constant_delay(refit: _Refit) -> tuple[Array, Array, float] | None:
+    found = _search(refit.dynamics, refit.dynamics.runs[0].step, np.array([refit.delay, 0.0]), drifts=False)
+    return found if found and np.isfinite(found[1][0]) else None  # infinite without a command
 
 
 def _acausal(delay: float, error: float, step: float) -> bool:
@@ -373,11 +375,11 @@ def _explains(at: Dynamics, delay: float) -> bool:
     effect and so correlate with it: with commands shifted ahead every such log is explained a little better,
     but nearly all of the residual remains. With a true clock error it vanishes.
     """
-    fit = at.refitted(undo=_later(delay, 0.0))
+    fit = at.refitted(undo=_delayed(delay, 0.0))
     return fit is not None and at.gain(fit).decisive
 
 
-def _prompt(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
+def _latency_note(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
     why = ""
     if shifted:
         why = ", which is impossible: compare the clocks of commands and sensors"
@@ -404,7 +406,7 @@ def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> l
     late = [one for one in found if one.clear(step)]
     turned = [one for one in late if {*one.names} & {*VELOCITY}]
     at = dynamics_of(vehicle, without_latencies(runs, late)) if turned else None
-    constant = None if at is None else _constant(_refitted_near(at))
+    constant = None if at is None else _constant_delay(_refitted_with_delay(at))
     if at is None or constant is None:
         return list(found)
     delay, error = float(constant[0][0]), float(constant[1][0])
@@ -422,7 +424,7 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
     found, error, left = start, np.full(2, np.inf), np.inf
     for _ in range(SETTINGS.command_rounds):
-        stepped = _step(at, found, 2 * step, drifts)
+        stepped = _newton_step(at, found, 2 * step, drifts)
         if stepped is None:
             return None
         change, error, left = stepped
@@ -432,7 +434,7 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
     return found, error, left
 
 
-def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding:
+def _late_commands(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding:
     """A delay for which the refitted model is decisively better."""
     size = f"{abs(delay):.2f} ± {error:.1g} s"
     if delay > 0:
@@ -451,12 +453,12 @@ def _late(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Find
     )
 
 
-def _step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
+def _newton_step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
     """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
 
     None if a missing command would enter the data.
     """
-    here, moved = (_residual(at, _later(*s)) for s in (shift, shift + np.array([small, 0.0])))
+    here, moved = (_residual(at, _delayed(*s)) for s in (shift, shift + np.array([small, 0.0])))
     if here is None or moved is None:
         return None
     late = (moved - here) / small
@@ -480,11 +482,11 @@ def _place_in_run(at: Dynamics) -> Array:
     return (at.data.time - ends[:, 0]) / (ends[:, 1] - ends[:, 0]) - 0.5
 
 
-def _later(delay: float, drift: float) -> Undo:
+def _delayed(delay: float, drift: float) -> Undo:
     """Commands as they would be logged that much later."""
 
     def undo(run: Run) -> Run:
-        then = run.t - delay - drift * _along(run.t)
+        then = run.t - delay - drift * _run_share(run.t)
         held = np.clip(np.searchsorted(run.t, then + 1e-9, side="right") - 1, 0, len(run.t) - 1)
         others = {*run.channels} - {*POSE, *VELOCITY}
         return with_channels(run, {n: run.channels[n][held] for n in others})

@@ -33,11 +33,11 @@ class CompassSettings:
     # Share of a term that current, wind, turning and commands may not imitate: at a constant speed a current
     # does the same as a deviation, and a speed that varies by a seventh leaves this much.
     distinct: float = 0.02
-    sure: float = 6.0  # standard errors
-    worth: float = 0.035  # rad: a compass that has been adjusted is better than 2 degrees
+    certain: float = 6.0  # standard errors
+    smallest: float = 0.035  # rad: a compass that has been adjusted is better than 2 degrees
     # Cosine between what the heading does at rest and what grows with the speed from which one takes away
     # from the other.
-    against: float = 0.5
+    opposed: float = 0.5
     explains: float = 0.25  # share of what is left of the sideways velocity, in pieces that were not fitted
 
 
@@ -59,11 +59,11 @@ class Deviation:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def is_sure(self) -> bool:
+    def is_certain(self) -> bool:
         """Whether it is too large for a compass that has been adjusted, and for chance."""
         errors = float(self.value @ np.linalg.pinv(self.covariance, hermitian=True) @ self.value) ** 0.5
-        large = float(np.hypot(*self.value)) > SETTINGS.worth
-        return large and errors > SETTINGS.sure and self.explained > SETTINGS.explains
+        large = float(np.hypot(*self.value)) > SETTINGS.smallest
+        return large and errors > SETTINGS.certain and self.explained > SETTINGS.explains
 
     @property
     def undo(self) -> Undo:
@@ -111,14 +111,16 @@ def deviation(vehicle: Vehicle, runs: Sequence[Run]) -> Deviation | None:
     pieces = max(2, round(SETTINGS.pieces / len(parts)))
     piece = np.concatenate([i * pieces + part.pieces(pieces) for i, part in enumerate(parts)])
     given = np.concatenate([part.turned for part in parts])
-    left = _without(_beside(parts), np.column_stack([np.concatenate([part.v for part in parts]), given]))
-    own = np.sum(left[:, 1:] ** 2, axis=0) / np.maximum(np.sum(given**2, axis=0), 1e-300)
+    residual = _regressed(
+        _other_terms(parts), np.column_stack([np.concatenate([part.v for part in parts]), given])
+    )
+    own = np.sum(residual[:, 1:] ** 2, axis=0) / np.maximum(np.sum(given**2, axis=0), 1e-300)
     if np.min(own) < SETTINGS.distinct:
         return None
-    fitted = _clustered(left[:, 1:], left[:, 0], piece)
-    explained = _explained_elsewhere(left[:, 1:], left[:, 0], piece)
+    fitted = _clustered(residual[:, 1:], residual[:, 0], piece)
+    explained = _explained_elsewhere(residual[:, 1:], residual[:, 0], piece)
     found = Deviation(*fitted, explained, all("v" in run.derived for run in usable))
-    return None if not found.is_sure or _is_wind(parts, found) else found
+    return None if not found.is_certain or _is_wind(parts, found) else found
 
 
 @dataclass(frozen=True)
@@ -141,10 +143,10 @@ class _Part:
         return np.column_stack([np.sin(self.psi), np.cos(self.psi), np.ones_like(self.psi)])
 
     @property
-    def alike(self) -> Array:
+    def common_terms(self) -> Array:
         """What else acts alike in all runs: an asymmetric hull, a sensor turned or away from the origin."""
-        beside = [self.u, np.abs(self.u)]
-        return np.column_stack([*beside, self.other, self.other * self.u[:, None]])
+        terms = [self.u, np.abs(self.u)]
+        return np.column_stack([*terms, self.other, self.other * self.u[:, None]])
 
     def pieces(self, count: int) -> Index:
         """The number of the piece that each sample is in."""
@@ -160,19 +162,19 @@ def _part(run: Run, vehicle: Vehicle) -> _Part:
     return _Part(table[:, 0], table[:, 1], table[:, 2], table[:, 3:])
 
 
-def _beside(parts: Sequence[_Part]) -> Array:
+def _other_terms(parts: Sequence[_Part]) -> Array:
     """All other terms, (n, k): those that are alike in all runs, then those of each run."""
     ends = np.cumsum([len(part.v) for part in parts])
     of_runs = np.zeros((ends[-1], 3 * len(parts)))
     for i, (part, end) in enumerate(zip(parts, ends, strict=True)):
         of_runs[end - len(part.v) : end, 3 * i : 3 * i + 3] = part.drift
-    return np.hstack([np.concatenate([part.alike for part in parts]), of_runs])
+    return np.hstack([np.concatenate([part.common_terms for part in parts]), of_runs])
 
 
-def _without(beside: Array, table: Array) -> Array:
+def _regressed(terms: Array, table: Array) -> Array:
     """What other terms leave of the columns of a table."""
-    size = np.linalg.norm(beside, axis=0)
-    basis, values, _ = np.linalg.svd(beside[:, size > 0] / size[size > 0], full_matrices=False)
+    size = np.linalg.norm(terms, axis=0)
+    basis, values, _ = np.linalg.svd(terms[:, size > 0] / size[size > 0], full_matrices=False)
     basis = basis[:, values > 1e-6 * values[0]] if len(values) else basis
     return np.asarray(table - basis @ (basis.T @ table))
 
@@ -189,12 +191,12 @@ def _clustered(table: Array, target: Array, piece: Array) -> tuple[Array, Array]
 def _explained_elsewhere(table: Array, target: Array, piece: Array) -> float:
     """Share of the target that is explained by what was fitted to all other pieces."""
     squares = table.T @ table, table.T @ target
-    left = 0.0
+    residual = 0.0
     for k in np.unique(piece):
         own, v = table[piece == k], target[piece == k]
         value = np.linalg.lstsq(squares[0] - own.T @ own, squares[1] - own.T @ v, rcond=None)[0]
-        left += float(np.sum((v - own @ value) ** 2))
-    return 1.0 - left / max(float(target @ target), 1e-300)
+        residual += float(np.sum((v - own @ value) ** 2))
+    return 1.0 - residual / max(float(target @ target), 1e-300)
 
 
 def _is_wind(parts: Sequence[_Part], found: Deviation) -> bool:
@@ -211,6 +213,6 @@ def _is_wind(parts: Sequence[_Part], found: Deviation) -> bool:
         at_rest.append(part.drift @ rest)
         ahead.append(np.sign(part.u))
     with_speed, without = np.concatenate(moved), np.concatenate(at_rest)
-    against = -float(np.concatenate(ahead) * with_speed @ without)
+    opposed = -float(np.concatenate(ahead) * with_speed @ without)
     sizes = float(np.linalg.norm(with_speed)), float(np.linalg.norm(without))
-    return sizes[0] < sizes[1] and against > SETTINGS.against * sizes[0] * sizes[1]
+    return sizes[0] < sizes[1] and opposed > SETTINGS.opposed * sizes[0] * sizes[1]

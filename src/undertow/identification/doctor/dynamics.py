@@ -57,8 +57,8 @@ class DynamicsSettings:
     decisive: float = 10.0
     # Less is enough where noise is all that remains, since a feedback loop, too, makes a model with a wrong
     # sign look better.
-    enough: float = 4.0
-    moved: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
+    decisive_to_noise: float = 4.0
+    excited: float = 5.0  # spread of a velocity over its noise from which its equation of motion is evidence
     worse: float = 1.25  # no other equation may get worse by more than this factor
     # Unless that costs less than this share of what is gained: what the model lacks makes some difference.
     # Of 62 mirrored logs of five simulated vehicles, whose models mostly lacked effects, 0 misses three and
@@ -66,7 +66,7 @@ class DynamicsSettings:
     # reversed commands do the same). Of 63 logs as they should be none is called mistaken at any value.
     cost: float = 0.01
     unit: float = 5.0  # change of a channel's spread that only another unit explains
-    small: float = 0.5  # excess over the noise that counts as none
+    negligible: float = 0.5  # excess over the noise that counts as none
     pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
     pwm_travel: float = 400.0  # its travel to either side
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
@@ -80,11 +80,11 @@ class DynamicsSettings:
     lightest: float = 0.6  # another mass is believed from this factor of the one in the file
     heaviest: float = 2.5  # and up to this one
     least: float = 0.1  # and only where it differs by this share
-    sure: float = 3.0  # standard errors by which another mass must differ
+    certain: float = 3.0  # standard errors by which another mass must differ
     # The same where added masses that were far off come back to their stated values with it.
-    sure_beside: float = 1.0
-    home: float = 2.0  # standard deviations of its prior within which an added mass is where it should be
-    far: float = 4.0  # standard deviations that one of them must be off
+    certain_beside: float = 1.0
+    near_prior: float = 2.0  # standard deviations within which an added mass is at its prior
+    far_from_prior: float = 4.0  # standard deviations that one of them must be off
 
 
 SETTINGS = DynamicsSettings()
@@ -191,14 +191,14 @@ class Dynamics:
             self.vehicle.degrees_of_freedom,
             self.residual,
             normalised_mean_square(fit)[: len(self.residual)],
-            self._moved,
+            self._excited,
         )
 
     @property
-    def _moved(self) -> NDArray[np.bool_]:
+    def _excited(self) -> NDArray[np.bool_]:
         size = len(self.residual)
         spread = np.std(np.concatenate([s.measured[:, size:] for s in self.data.segments]), axis=0)
-        return np.asarray(spread > SETTINGS.moved * self.data.sigma[size:])
+        return np.asarray(spread > SETTINGS.excited * self.data.sigma[size:])
 
 
 @dataclass(frozen=True)
@@ -209,12 +209,12 @@ class Gain:
     # before, after: (n,) mean squares in units of the sensors' noise.
     before: Array
     after: Array
-    moved: NDArray[np.bool_]  # (n,) whether the velocity stands out of its noise
+    excited: NDArray[np.bool_]  # (n,) whether the velocity stands out of its noise
 
     @property
     def factors(self) -> Array:
         """How many times what exceeds the noise is smaller after the change, (n,)."""
-        excess = [np.maximum(a - 1.0, SETTINGS.small) for a in (self.before, self.after)]
+        excess = [np.maximum(a - 1.0, SETTINGS.negligible) for a in (self.before, self.after)]
         return np.asarray(excess[0] / excess[1])
 
     @property
@@ -230,12 +230,12 @@ class Gain:
     @property
     def decisive(self) -> bool:
         """Whether the change explains at least one equation of motion and spoils none."""
-        needed = SETTINGS.enough if self.explained else SETTINGS.decisive
-        wrong = (self.before > SETTINGS.unexplained) & self.moved
-        return bool(np.any(self.factors[wrong] >= needed) and not np.any(self._spoiled))
+        needed = SETTINGS.decisive_to_noise if self.explained else SETTINGS.decisive
+        wrong = (self.before > SETTINGS.unexplained) & self.excited
+        return bool(np.any(self.factors[wrong] >= needed) and not np.any(self._worsened))
 
     @property
-    def _spoiled(self) -> NDArray[np.bool_]:
+    def _worsened(self) -> NDArray[np.bool_]:
         """Equations that get worse by more than goes along with what the others gain, (n,)."""
         gained = np.sum(np.maximum(self.before - self.after, 0.0))
         costly = self.after - self.before > SETTINGS.cost * gained
@@ -277,7 +277,7 @@ def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
     """Fit a vehicle to the most_active part of logs; None where they are too short or hold no motion."""
     most = SETTINGS.samples if len(vehicle.dof_indices) <= SETTINGS.many else SETTINGS.samples_of_many
     try:
-        parts = [part_of(run, vehicle, most // len(runs)) for run in runs]
+        parts = [most_active_part(run, vehicle, most // len(runs)) for run in runs]
         data = prepare(parts, vehicle)
         fit = fit_weak(vehicle, data)
     except (UndertowError, np.linalg.LinAlgError):
@@ -285,7 +285,7 @@ def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
     return Dynamics(vehicle, parts, data, fit, normalised_mean_square(fit)[: len(vehicle.dof_indices)])
 
 
-def part_of(run: Run, vehicle: Vehicle, most: int) -> Run:
+def most_active_part(run: Run, vehicle: Vehicle, most: int) -> Run:
     """The `most` samples in a row of a run in which the vehicle moves most."""
     piece = most_active(run, vehicle.velocity_names, most)
     return run.slice(float(run.t[piece.start]), float(run.t[piece.stop - 1]))
@@ -301,8 +301,10 @@ def rederived(run: Run, undo: Undo) -> Run:
     rate = np.einsum("nij,nj->ni", jacobian(pose), run.known(VELOCITY))
     # Mistakes are affine in the pose, so that this difference is exact.
     plain = replace(run, wrapped={})
-    moved = with_channels(plain, {n: run.channels[n] + rate[:, POSE.index(n)] for n in POSE if run.has(n)})
-    before, later = (undo(r).known(POSE) for r in (plain, moved))
+    displaced = with_channels(
+        plain, {n: run.channels[n] + rate[:, POSE.index(n)] for n in POSE if run.has(n)}
+    )
+    before, later = (undo(r).known(POSE) for r in (plain, displaced))
     # The clock may be another one, too.
     slower = (after.t[-1] - after.t[0]) / (run.t[-1] - run.t[0])
     velocity = np.linalg.solve(jacobian(before), (later - before)[..., None]) / slower
@@ -332,7 +334,7 @@ def _reversed(vehicle: Vehicle, names: tuple[str, ...]) -> Mistake:
     return rescaled("reversed_thruster", f"{clause} reversed", factors, len(names), remedy)
 
 
-def together(vehicle: Vehicle, first: Mistake, second: Mistake) -> Mistake:
+def both_reversed(vehicle: Vehicle, first: Mistake, second: Mistake) -> Mistake:
     """Two thrusters reversed."""
     return _reversed(vehicle, tuple(sorted({*_reversed_in(first), *_reversed_in(second)})))
 
@@ -386,28 +388,28 @@ def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float)
     return Mistake("command_unit", f"commands {', '.join(limits)} are {clause}", undo, edits)
 
 
-def best_of(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
+def decisive_mistake(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
     """The mistake whose correction explains the motion decisively; None if none does."""
-    worth_fitting = [m for _, m in _worth_fitting(at, known)]
+    promising = [m for _, m in _promising(at, known)]
     # Units are many, and neighbours predict alike: they must not crowd out the others.
     units, others = (
-        [m for m in worth_fitting if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
+        [m for m in promising if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
     )
     leading = [*others[: SETTINGS.fitted], *units[: SETTINGS.units_fitted]]
-    return _chosen(at, [(m, fit) for m in leading if (fit := at.without(m)) is not None])
+    return _best_explanation(at, [(m, fit) for m in leading if (fit := at.without(m)) is not None])
 
 
-def _worth_fitting(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
+def _promising(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
     """Mistakes that are worth a fit, with what one step of it predicts; the best first."""
-    looked = [(at.predicted_reduction(m.undo) or 0.0, i) for i, m in enumerate(known)]
+    promising = [(at.predicted_reduction(m.undo) or 0.0, i) for i, m in enumerate(known)]
     return [
         (predicted, known[i])
-        for predicted, i in sorted(looked, reverse=True)
+        for predicted, i in sorted(promising, reverse=True)
         if predicted > SETTINGS.least_predicted_fall
     ]
 
 
-def _chosen(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
+def _best_explanation(at: Dynamics, fitted: Sequence[tuple[Mistake, WeakFit]]) -> Explanation | None:
     # Under the noise model of the wrong reading a fit stops early: those that help get their own.
     helping = [(m, at.gain(with_reestimated_noise(fit))) for m, fit in fitted if at.gain(fit).decisive]
     found = [(m, g) for m, g in helping if g.decisive]
@@ -436,13 +438,13 @@ def dynamic_mistakes(
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
     commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
-    signs = _told_apart(at, reversed_commands(vehicle))
+    signs = _distinguishable(at, reversed_commands(vehicle))
     # One velocity in another unit than the others, by less than no force could give, is a scale.
     speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
     known = reading_mistakes(mapping, runs)
     known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
-    unseen = allowed(kinematics, runs, at, known)
-    found = best_of(at, [*unseen, *signs, *commands])
+    invisible = consistent_with_kinematics(kinematics, runs, at, known)
+    found = decisive_mistake(at, [*invisible, *signs, *commands])
     return found or _two_reversed(vehicle, at, signs)
 
 
@@ -454,23 +456,25 @@ def _is_driven(vehicle: Vehicle, run: Run) -> bool:
 def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Explanation | None:
     """Two reversed thrusters: the one that helps most, with each of the others."""
     single = [m for m in signs if m.count == 1]
-    looked = _worth_fitting(at, single)
-    if len(single) < 3 or not looked:
+    promising = _promising(at, single)
+    if len(single) < 3 or not promising:
         return None
-    first = looked[0][1]
-    return best_of(at, [together(vehicle, first, other) for other in single if other is not first])
+    first = promising[0][1]
+    return decisive_mistake(
+        at, [both_reversed(vehicle, first, other) for other in single if other is not first]
+    )
 
 
-def wirings(
+def wiring_mistakes(
     vehicle: Vehicle, at: Dynamics, kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping
 ) -> list[Mistake]:
     """Mistakes that change the sign of the response to commands, as far as kinematics allow them."""
     axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
-    turned = allowed(kinematics, runs, at, axes)
-    return [*_told_apart(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
+    turned = consistent_with_kinematics(kinematics, runs, at, axes)
+    return [*_distinguishable(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
 
 
-def allowed(
+def consistent_with_kinematics(
     kinematics: Kinematics, runs: Sequence[Run], at: Dynamics, known: Sequence[Mistake]
 ) -> list[Mistake]:
     """Mistakes that pose rates and velocities do not contradict and that matter to the model.
@@ -493,7 +497,7 @@ def allowed(
     return result
 
 
-def _told_apart(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
+def _distinguishable(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
     """Mistakes in commands, less those that logs do not tell from others, or from none."""
     runs = at.runs
     seen, result = [np.hstack([_signature(at, run) for run in runs])], list[Mistake]()
@@ -505,9 +509,9 @@ def _told_apart(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
     return result
 
 
-def _is_one_of(felt: Array, seen: Sequence[Array]) -> bool:
+def _is_one_of(signature: Array, seen: Sequence[Array]) -> bool:
     near = {"rtol": SETTINGS.changes, "atol": SETTINGS.changes}
-    return any(np.allclose(felt, other, equal_nan=True, **near) for other in seen)
+    return any(np.allclose(signature, other, equal_nan=True, **near) for other in seen)
 
 
 def _signature(at: Dynamics, run: Run) -> np.ndarray:
@@ -538,27 +542,28 @@ def other_mass(at: Dynamics) -> Finding | None:
     if not (SETTINGS.lightest < ratio < SETTINGS.heaviest and abs(ratio - 1) > SETTINGS.least):
         return None
     gain = at.gain(fit)
-    moved = _back_within_priors(at.fit, fit) if gain.explained else {}
+    shifted = _back_within_priors(at.fit, fit) if gain.explained else {}
     # What added masses and mass share is poorly known; that added masses are where they should be is not.
-    sure = abs(found - known.value) > (SETTINGS.sure_beside if moved else SETTINGS.sure) * error
-    if not sure or not (moved or gain.decisive) or _added_mass_instead(at, fit):
+    limit = SETTINGS.certain_beside if shifted else SETTINGS.certain
+    certain = abs(found - known.value) > limit * error
+    if not certain or not (shifted or gain.decisive) or _added_mass_instead(at, fit):
         return None
-    return _mass_finding({"stated": known.value, "found": found, "error": error}, gain, moved)
+    return _mass_finding({"stated": known.value, "found": found, "error": error}, gain, shifted)
 
 
-def _mass_finding(mass: dict[str, float], gain: Gain, moved: dict[str, float]) -> Finding:
-    """`moved` are added masses that leave their stated values, in standard deviations."""
+def _mass_finding(mass: dict[str, float], gain: Gain, shifted: dict[str, float]) -> Finding:
+    """`shifted` are added masses that leave their stated values, in standard deviations."""
     which = "dry" if mass["found"] > mass["stated"] else "wrong"
     reason = f"with it, {gain.text}"
-    if moved:
-        far = ", ".join(f"{n} {z:+.1f}" for n, z in moved.items())
+    if shifted:
+        sizes = ", ".join(f"{n} {z:+.1f}" for n, z in shifted.items())
         reason = (
-            f"with m as stated the added masses move away from their stated values ({far} standard "
+            f"with m as stated the added masses move away from their stated values ({sizes} standard "
             "deviations)"
         )
     return Finding(
         id="dry_mass",
-        severity="warning" if moved else "mistake",
+        severity="warning" if shifted else "mistake",
         text=f"m = {mass['stated']:.4g} kg looks like the {which} mass: the logs indicate "
         f"{mass['found']:.4g} ± {mass['error']:.2g} kg; {reason}",
         evidence=mass,
@@ -576,11 +581,12 @@ def _added_mass_instead(at: Dynamics, with_mass: WeakFit) -> bool:
 
 def _back_within_priors(before: WeakFit, after: WeakFit) -> dict[str, float]:
     """Added masses that were several standard deviations off in the same direction, and no longer are."""
-    off, home = (_standardised(f) for f in (before, after))
-    moved = {n: z for n, z in off.items() if abs(z) > SETTINGS.home}
-    same_sense = len(moved) >= 2 and len({np.sign(z) for z in moved.values()}) == 1
-    far = max(map(abs, moved.values()), default=0.0) > SETTINGS.far
-    return moved if same_sense and far and all(abs(z) < SETTINGS.home for z in home.values()) else {}
+    before_z, after_z = (_standardised(f) for f in (before, after))
+    shifted = {n: z for n, z in before_z.items() if abs(z) > SETTINGS.near_prior}
+    same_sense = len(shifted) >= 2 and len({np.sign(z) for z in shifted.values()}) == 1
+    far = max(map(abs, shifted.values()), default=0.0) > SETTINGS.far_from_prior
+    near = all(abs(z) < SETTINGS.near_prior for z in after_z.values())
+    return shifted if same_sense and far and near else {}
 
 
 def _standardised(fit: WeakFit) -> dict[str, float]:
@@ -594,9 +600,9 @@ def without_refuted(examined: Examination) -> Examination:
 
     Mistakes found through the fit of a model are believed only for want of a better explanation.
     """
-    return examined.model_copy(update={"findings": [f for f in examined.findings if not _leaves_much(f)]})
+    return examined.model_copy(update={"findings": [f for f in examined.findings if not _leaves_residual(f)]})
 
 
-def _leaves_much(finding: Finding) -> bool:
+def _leaves_residual(finding: Finding) -> bool:
     left = [number for name, number in finding.evidence.items() if name.endswith(_UNDONE)]
     return finding.severity == "mistake" and max(left, default=0.0) > SETTINGS.unexplained

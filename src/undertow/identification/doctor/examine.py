@@ -24,15 +24,8 @@ from undertow.version import __version__
 from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .compass import deviation
-from .dynamics import (
-    Dynamics,
-    dynamic_mistakes,
-    dynamics_of,
-    other_mass,
-    rederived,
-    wirings,
-)
-from .forces import exceeded_limits, impossible, suspicious
+from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
+from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings
 from .kinematics import Kinematics, rms
 from .mistakes import (
@@ -58,7 +51,7 @@ def _explanation(
     before, after = found.before, found.after
     rows = np.flatnonzero(inconsistent(before) | (after.excess < before.excess / 2))
     parts = [f"{names[i]} {percent(before.share[i])} → {percent(after.share[i])}" for i in rows]
-    sizes = _sizes(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
+    sizes = _rms_in_words(kinematics, found, runs) if chosen.id in UNITS_OF_MOTION else ""
     mismatch = f"the mismatch between pose rate and velocity changes: {', '.join(parts)} of the motion"
     text = f"{chosen.clause}: {sizes}when corrected, {mismatch}"
     evidence = {f"mismatch_{names[i].replace(', ', '')}": float(before.share[i]) for i in rows}
@@ -67,7 +60,7 @@ def _explanation(
     return Explanation(chosen, text, evidence, rivals)
 
 
-def _sizes(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
+def _rms_in_words(kinematics: Kinematics, found: Explained, runs: Sequence[Run]) -> str:
     """How fast the position changes where that contradicts the velocities most, by both."""
     linear = [i for i, block in enumerate(kinematics.blocks) if kinematics.rows[block[0]] in POSITIONS]
     block = kinematics.blocks[max(linear, key=lambda i: found.before.excess[i])]
@@ -83,7 +76,7 @@ _MOST_MISTAKES = 3
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
 _MODEL = "a term that the model lacks, or a controller that responds to the motion"
 # What may make a motion look as if it were read in another unit or with another sign.
-_INSTEAD: dict[type[Effect], str] = {
+_OTHER_EXPLANATIONS: dict[type[Effect], str] = {
     OceanCurrent: "a current that the vehicle file lacks (ocean_current), which explains as much",
     VelocityLeverArm: "a velocity sensor away from the origin (velocity_lever_arm), which explains as much",
 }
@@ -116,22 +109,22 @@ def examine(
     for run in runs:
         run.matrix([*vehicle.velocity_names, *vehicle.command_names])
     read_by = mapping or next((r.mapping for r in runs if r.mapping is not None), LogMapping())
-    alone = _wrong_alone(vehicle, runs)
-    examiner = _Examiner(vehicle, [run for run in runs if run.name not in alone], read_by)
-    examiner.findings += alone.values()
+    excluded = _only_wrong(vehicle, runs)
+    examiner = _Examiner(vehicle, [run for run in runs if run.name not in excluded], read_by)
+    examiner.findings += excluded.values()
     report(0.0, "checking clock and samples")
-    examiner.look_at_samples()
-    examiner.undo_repeats()
+    examiner.check_samples()
+    examiner.undo_held_values()
     report(0.1, "comparing pose rates with velocities")
     if examiner.is_timed:
         examiner.undo_reading_mistakes()
-        examiner.undo_what_cannot_be()
+        examiner.undo_impossible()
     report(0.4, "comparing motion with commands")
     if examiner.is_timed:
         examiner.undo_model_mistakes()
     report(0.9, "checking sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
-    examiner.look_at_the_rest()
+    examiner.check_sensors()
     examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
     result = Examination(
         undertow=__version__,
@@ -156,22 +149,22 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         if trust_log or not all(run.has(n) for n in needed):
             continue
         where = f"log '{run.source or run.name}'"
-        after_all = "override with --trust-log (trust_log=True)"
+        override = "override with --trust-log (trust_log=True)"
         examiner = _of_one(vehicle, run)
         unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
         refused = _refused(examiner)
         unmeasured = examiner.unmeasured or unmeasured
         if not examiner.is_timed:
             bursts = next(f.text for f in examiner.findings if f.id == "bursts")
-            raise UndertowError(f"log {bursts}, or {after_all}")
+            raise UndertowError(f"log {bursts}, or {override}")
         if found := refused:
             finding, edits = found
             raise UndertowError(
                 f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
-                f"(undertow doctor --mend does so), or {after_all}"
+                f"(undertow doctor --mend does so), or {override}"
             )
         if unmeasured:
-            raise UndertowError(f"{where}: {unmeasured.text}, or {after_all}")
+            raise UndertowError(f"{where}: {unmeasured.text}, or {override}")
 
 
 def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
@@ -180,14 +173,14 @@ def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
 
 def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
     """Impossible contents of a log, and their corrections."""
-    examiner.look_at_samples()
+    examiner.check_samples()
     if examiner.is_timed:
         examiner.undo_reading_mistakes()
-        examiner.undo_what_cannot_be()
+        examiner.undo_impossible()
     return None if examiner.refused is None else (examiner.refused, tuple(examiner.edits))
 
 
-def _wrong_alone(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
+def _only_wrong(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
     """Impossible contents of some of the logs, by name, if the others do not show them.
 
     Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
@@ -224,10 +217,10 @@ class _Examiner:
         vehicle = self.vehicle
         return (*dict.fromkeys((*vehicle.pose_names, *self.kinematics.rows, *vehicle.velocity_names)),)
 
-    def look_at_samples(self) -> None:
+    def check_samples(self) -> None:
         self.findings += sampling(self.runs, self._names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
-            self._write(DROP)
+            self._add_edits(DROP)
         self._drop_quotients()
         if unit := other_time_unit(self.kinematics, self.runs, self.mapping):
             text = f"{unit.clause}: only then are pose rates and velocities of the same size"
@@ -246,13 +239,13 @@ class _Examiner:
             self.runs = [velocities_from_pose(run.without(names), dofs) for run in self.runs]
             self.kinematics = Kinematics(self.runs, self.vehicle)
 
-    def undo_repeats(self) -> None:
+    def undo_held_values(self) -> None:
         """Read sensors that are slower than the log where they are new: held values look like a delay."""
         held = held_channels(self.runs, self._names, self.mapping)
         if held:
             self.runs = [self._rederived(run, lambda r: read_when_new(r, held)) for run in self.runs]
             self.kinematics = Kinematics(self.runs, self.vehicle)
-            self._write([edit for edits in held.values() for edit in edits])
+            self._add_edits([edit for edits in held.values() for edit in edits])
 
     def _mend_angles(self, names: Sequence[str]) -> None:
         """Undo what angles show by themselves: degrees, of those named, and jumps."""
@@ -279,7 +272,7 @@ class _Examiner:
         if found is None:
             return False
         others = [f.description() for f in sensors.as_good_as(found, fits)]
-        chosen, rivals = decided(self.vehicle, self.runs, found)
+        chosen, rivals = supported_by_model(self.vehicle, self.runs, found)
         explanation = _explanation(kinematics, found, chosen, rivals, self.runs)
         if others:
             self._doubt(explanation, others)
@@ -290,7 +283,7 @@ class _Examiner:
         self._undo(replace(explanation, text=explanation.text + beyond), impossible=gross)
         return True
 
-    def undo_what_cannot_be(self) -> None:
+    def undo_impossible(self) -> None:
         """Undo what pose rates and velocities leave open, but no vehicle of this mass and thrust can do."""
         for _ in range(_MOST_MISTAKES):
             found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
@@ -300,7 +293,7 @@ class _Examiner:
 
     def doubt_forces(self) -> None:
         """Ask for the unit where a motion needs a few times the force commanded."""
-        found = suspicious(self.vehicle, self.runs, self.mapping, self.kinematics)
+        found = doubtful_unit(self.vehicle, self.runs, self.mapping, self.kinematics)
         if found is not None:
             self._doubt(found, [*(r.clause for r in found.rivals), _WEAK_THRUSTERS])
 
@@ -313,22 +306,22 @@ class _Examiner:
             found = self._model_mistake(at)
             if found is None:
                 break
-            if others := self._instead_of(at, found.mistake):
+            if others := self._other_explanations(at, found.mistake):
                 self._doubt(found, others)
                 break
             self._undo(found)
         if not any(f.severity == "mistake" for f in self.findings):
             self.doubt_forces()
         if at is not None:
-            self._look_at_numbers(at)
+            self._check_vehicle_file(at)
 
-    def _instead_of(self, at: Dynamics, mistake: Mistake) -> list[str]:
+    def _other_explanations(self, at: Dynamics, mistake: Mistake) -> list[str]:
         """What else than another unit or sign of the motion explains how the model does."""
         if mistake.id not in (*UNITS_OF_MOTION, "flipped_axis"):
             return []
         if len(self.vehicle.dof_indices) == 1 and mistake.id in UNITS_OF_MOTION:
             return [_WEAK_THRUSTERS]
-        return [_INSTEAD[e] for e in at.explained_as_well(mistake, _INSTEAD)]
+        return [_OTHER_EXPLANATIONS[e] for e in at.explained_as_well(mistake, _OTHER_EXPLANATIONS)]
 
     def _model_mistake(self, at: Dynamics) -> Explanation | None:
         """What the fit of the model shows, and, where that leaves much, what the signs of commands do."""
@@ -339,7 +332,7 @@ class _Examiner:
         signs = signs_of(self.vehicle, self.runs)
         if signs is None:
             return found
-        possible = cache(lambda: wirings(*known))
+        possible = cache(lambda: wiring_mistakes(*known))
         wrong = by_signs(signs, found, possible)
         if wrong is not None and (found is not None or at.no_worse(wrong.mistake)):
             return wrong
@@ -348,7 +341,7 @@ class _Examiner:
             self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
         return None
 
-    def _look_at_numbers(self, at: Dynamics) -> None:
+    def _check_vehicle_file(self, at: Dynamics) -> None:
         """The clock of the commands, and mistakes in the vehicle file."""
         if at.unexplained or any(run.reported for run in self.runs):
             clock = command_clock(at, self.mapping)
@@ -358,7 +351,7 @@ class _Examiner:
         if (mass := other_mass(at)) is not None:
             self.findings.append(mass)
 
-    def look_at_the_rest(self) -> None:
+    def check_sensors(self) -> None:
         kinematics = self.kinematics
         self.findings += sensors.not_compared(kinematics, self.vehicle)
         self.findings += heading_findings(self.mapping, self.runs)
@@ -372,7 +365,7 @@ class _Examiner:
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
             self.findings += sensors.agreement(kinematics, prompt)
             for one in found:
-                self._write(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
+                self._add_edits(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
             self.runs = prompt
 
     def _undo_deviation(self) -> None:
@@ -383,7 +376,7 @@ class _Examiner:
         self.findings.append(found.finding(self.mapping))
         self.runs = [self._rederived(run, found.undo) for run in self.runs]
         self.kinematics = Kinematics(self.runs, self.vehicle)
-        self._write(found.edits(self.mapping))
+        self._add_edits(found.edits(self.mapping))
 
     def _rederived(self, run: Run, undo: Undo) -> Run:
         """A run without a mistake, its velocities derived anew where they were derived from its pose."""
@@ -393,10 +386,7 @@ class _Examiner:
         return velocities_from_pose(undo(own), self.vehicle.degrees_of_freedom)
 
     def _undo(
-        self,
-        found: Explanation,
-        apply: Callable[[Run, Undo], Run] = rederived,
-        impossible: bool = False,
+        self, found: Explanation, apply: Callable[[Run, Undo], Run] = rederived, impossible: bool = False
     ) -> None:
         mistake, edits = found.mistake, found.mistake.edits(self.mapping)
         finding = Finding(
@@ -412,9 +402,9 @@ class _Examiner:
         self.refused = self.refused or (finding if impossible else None)
         self.runs = [apply(run, mistake.undo) for run in self.runs]
         self.kinematics = Kinematics(self.runs, self.vehicle)
-        self._write(edits)
+        self._add_edits(edits)
 
-    def _write(self, edits: Iterable[Edit]) -> None:
+    def _add_edits(self, edits: Iterable[Edit]) -> None:
         self.mapping = edited(self.mapping, edits)
         self.edits += edits
 
@@ -441,23 +431,25 @@ def _on_one_line(edits: Edits) -> str:
 
 
 # --- mistakes that agree alike --------------------------------------------------------------------
-_TRIED = 4
+_MOST_EQUALS = 4
 # Factor between what the model leaves beyond the noise after one and after another that decides.
-_DECIDES = 2.0
+_DECISIVE = 2.0
 
 
-def decided(vehicle: Vehicle, runs: Sequence[Run], found: Explained) -> tuple[Mistake, list[Mistake]]:
+def supported_by_model(
+    vehicle: Vehicle, runs: Sequence[Run], found: Explained
+) -> tuple[Mistake, list[Mistake]]:
     """The mistake that the model supports, and those that it does not contradict."""
-    tied = [found.mistake, *found.rivals][:_TRIED]
-    if len(tied) == 1:
+    equals = [found.mistake, *found.rivals][:_MOST_EQUALS]
+    if len(equals) == 1:
         return found.mistake, []
-    left = [_left(vehicle, runs, m) for m in tied]
+    left = [_residual(vehicle, runs, m) for m in equals]
     best = min(left)
-    good = [m for m, value in zip(tied, left, strict=True) if not value > _DECIDES * best]
+    good = [m for m, value in zip(equals, left, strict=True) if not value > _DECISIVE * best]
     return good[0], good[1:]
 
 
-def _left(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
+def _residual(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
     """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
     at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
     return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))

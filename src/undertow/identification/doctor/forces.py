@@ -24,7 +24,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import other_units, rederived
-from .kinematics import Kinematics, most_active, weights_over
+from .kinematics import Kinematics, cached_test_functions, most_active
 from .mistakes import (
     PLAUSIBLE,
     RATES,
@@ -34,9 +34,9 @@ from .mistakes import (
     Mistake,
     PlausibilitySettings,
     likely_time_units,
+    names_with_verb,
     reading_mistakes,
     rescaled,
-    they_are,
 )
 from .sensors import clustered_least_squares
 
@@ -73,7 +73,7 @@ def allocation(vehicle: Vehicle) -> Array:
     return np.array(columns).T.reshape(len(rows), -1)
 
 
-def on_curve(curve: Curve, command: Array) -> Array:
+def thrust_on_curve(curve: Curve, command: Array) -> Array:
     """Thrust of a curve at commands (N,), N."""
     pieces = ((np.clip(command, begin, end) - begin, (0.0, *c)) for begin, end, c in curve.pieces)
     return np.asarray(curve.start + sum(np.polynomial.polynomial.polyval(x, c) for x, c in pieces))
@@ -85,7 +85,7 @@ class ForceTable:
 
     force: Array
     commanded: Array
-    beside: Array
+    others: Array
 
 
 class Forces:
@@ -109,7 +109,7 @@ class Forces:
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = weights_over(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
+            functions = cached_test_functions(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
                 yield _means(functions, motion, len(velocities), force[part], self.mass, (index, count))
@@ -121,7 +121,7 @@ class Forces:
         actuation = self.chain.along(run.t, without_gaps(u), self.p).value.copy()
         for k, thruster in enumerate(self.vehicle.thrusters):
             if isinstance(thruster.law, Curve):
-                actuation[:, k] = on_curve(thruster.law, actuation[:, k])
+                actuation[:, k] = thrust_on_curve(thruster.law, actuation[:, k])
         table = np.column_stack([actuation, u[:, len(self.vehicle.actuator_names) :]])
         table = np.where(missing, np.nan, table)
         return np.einsum("Nc,nc->Nnc", table, allocation(self.vehicle))
@@ -180,14 +180,14 @@ def _means(
     columns = np.column_stack([motion, np.abs(velocity) * velocity, *products])
     steady = np.zeros((len(length), run[1]))
     steady[:, run[0]] = 1.0
-    beside = np.column_stack([(functions.value @ columns)[some] / length, steady])
-    return inertial, commanded.reshape(len(length), *force.shape[1:]), beside
+    others = np.column_stack([(functions.value @ columns)[some] / length, steady])
+    return inertial, commanded.reshape(len(length), *force.shape[1:]), others
 
 
-def without(beside: Array, columns: Array) -> Array:
+def orthogonal_to(others: Array, columns: Array) -> Array:
     """Columns orthogonalised against others."""
-    size = np.linalg.norm(beside, axis=0)
-    scaled = beside[:, size > 0] / size[size > 0]
+    size = np.linalg.norm(others, axis=0)
+    scaled = others[:, size > 0] / size[size > 0]
     return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
 
 
@@ -219,7 +219,7 @@ class Response:
     needed: float
     given: float
 
-    def sure(self, errors: float, share: float) -> bool:
+    def is_certain(self, errors: float, share: float) -> bool:
         """Whether the gain exceeds its error, and the command explains part of the motion."""
         return abs(self.gain) > errors * self.error and self.share > share
 
@@ -239,37 +239,37 @@ class Responses:
         if table is None:
             return []
         rows = range(len(self.vehicle.dof_indices))
-        return [r for row in rows if self._known(row) for r in self._row(table, row)]
+        return [r for row in rows if self._inertia_is_known(row) for r in self._row(table, row)]
 
-    def _known(self, row: int) -> bool:
+    def _inertia_is_known(self, row: int) -> bool:
         """Whether the vehicle file knows the inertia: what is to be estimated is no evidence."""
         name = _INERTIA[self.vehicle.dof_indices[row]]
         return name in self.vehicle.values and not self.vehicle.values[name].estimate
 
     def _row(self, table: ForceTable, row: int) -> Iterator[Response]:
         given = table.commanded[:, row]
-        acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and not self._open(k)]
+        acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and not self._gain_is_estimated(k)]
         rest = np.delete(given, acting, axis=1)
-        beside = np.column_stack([table.beside, rest[:, np.any(rest != 0, axis=0)]])
-        if len(table.force) < 2 * (beside.shape[1] + len(acting)):
+        others = np.column_stack([table.others, rest[:, np.any(rest != 0, axis=0)]])
+        if len(table.force) < 2 * (others.shape[1] + len(acting)):
             return
         names = [(self.vehicle.command_names[k], k) for k in acting]
         if len(acting) != 1:
-            yield from self._responses(table, row, beside, [("", given[:, acting].sum(axis=1))])
-        yield from self._responses(table, row, beside, [(name, given[:, k]) for name, k in names])
+            yield from self._responses(table, row, others, [("", given[:, acting].sum(axis=1))])
+        yield from self._responses(table, row, others, [(name, given[:, k]) for name, k in names])
 
-    def _open(self, command: int) -> bool:
+    def _gain_is_estimated(self, command: int) -> bool:
         """Whether thrust per command is to be estimated: then any unit of the command will do."""
         thrusters = self.vehicle.thrusters
         return command < len(thrusters) and thrusters[command].thrust_per_command.estimate
 
     def _responses(
-        self, table: ForceTable, row: int, beside: Array, commands: list[tuple[str, Array]]
+        self, table: ForceTable, row: int, others: Array, commands: list[tuple[str, Array]]
     ) -> Iterator[Response]:
         force = table.force[:, row]
         if not commands or not np.any(force):
             return
-        own = without(beside, np.column_stack([force, *(data for _, data in commands)]))
+        own = orthogonal_to(others, np.column_stack([force, *(data for _, data in commands)]))
         gains, errors, shares = _fitted(own[:, 1:], own[:, 0])
         dof = self.vehicle.degrees_of_freedom[row]
         for (name, data), *found in zip(commands, gains, errors, shares, strict=True):
@@ -290,29 +290,26 @@ def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
     return value / size, error / size, more / np.maximum(left + more, 1e-300)
 
 
-def suspicious(
+def doubtful_unit(
     vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
 ) -> Explanation | None:
     """A motion that requires a few times the commanded force, as in a wrong unit; None if none does.
 
     Parameters are those of `impossible`. Lags and dead times make a motion need less, never more.
     """
-    milder = replace(PLAUSIBLE, strongest=PLAUSIBLE.doubtful, near=PLAUSIBLE.alike)
+    milder = replace(PLAUSIBLE, strongest=PLAUSIBLE.doubtful, near=PLAUSIBLE.unit_tolerance)
     return _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, milder).by_force()
 
 
 def impossible(
-    vehicle: Vehicle,
-    runs: Sequence[Run],
-    mapping: LogMapping,
-    kinematics: Kinematics,
+    vehicle: Vehicle, runs: Sequence[Run], mapping: LogMapping, kinematics: Kinematics
 ) -> Explanation | None:
     """Motion that no vehicle of this mass, thrust and size can have; None if there is none."""
     check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, PLAUSIBLE)
     return check.by_force() or check.by_size() or check.by_angles() or check.by_limits()
 
 
-_Known = dict[tuple[str, str], Response]
+_ByKey = dict[tuple[str, str], Response]
 """Responses by motion and command."""
 
 
@@ -331,75 +328,71 @@ class _PlausibilityCheck:
             responses = Responses(self.vehicle)
         except UndertowError:  # actuation that depends on the motion does not follow from the log alone
             return None
-        before = self._sure(responses.of(self.runs))
-        far = {key: r for key, r in before.items() if not self._possible(r)}
-        if not far:
+        before = self._certain(responses.of(self.runs))
+        beyond = {key: r for key, r in before.items() if not self._possible(r)}
+        if not beyond:
             return None
-        worst = max(far.values(), key=lambda r: abs(np.log(abs(r.gain))))
-        found = self._explaining(responses, before, far)
+        worst = max(beyond.values(), key=lambda r: abs(np.log(abs(r.gain))))
+        found = self._explanations(responses, before, beyond)
         if not found:
             return None
         text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
         return Explanation(found[0], text, _force_evidence(worst), found[1:])
 
-    def _sure(self, found: Sequence[Response]) -> _Known:
+    def _certain(self, found: Sequence[Response]) -> _ByKey:
         s = self.settings
-        return {(r.degree_of_freedom, r.command): r for r in found if r.sure(s.errors, s.share)}
+        return {(r.degree_of_freedom, r.command): r for r in found if r.is_certain(s.errors, s.share)}
 
-    def _explaining(
-        self,
-        responses: Responses,
-        before: _Known,
-        far: _Known,
-    ) -> list[Mistake]:
+    def _explanations(self, responses: Responses, before: _ByKey, beyond: _ByKey) -> list[Mistake]:
         """Mistakes without which force and motion agree, the simplest first, then the best."""
         found = []
-        for place, mistake in enumerate([*self._readings(), *self._commands(far)]):
+        for place, mistake in enumerate([*self._units_of_motion(), *self._units_of_commands(beyond)]):
             all_after = responses.of(self.without(mistake))
-            after = self._sure(all_after)
-            # What could be seen before must still be: else a motion that is scaled away agrees with anything.
-            if all(key in after for key in before) and self._agree(far, after) and self._allowed(mistake):
+            after = self._certain(all_after)
+            # Significant responses must remain so: a motion that is scaled away would agree with anything.
+            agree = all(key in after for key in before) and self._agree(beyond, after)
+            if agree and self._consistent(mistake):
                 score = float(np.mean([abs(np.log(abs(after[key].gain))) for key in before]))
-                seen = sum(r.sure(self.settings.errors / 2, 0.0) for r in all_after)
+                seen = sum(r.is_certain(self.settings.errors / 2, 0.0) for r in all_after)
                 found.append(((mistake.count, -seen, round(score, 1), place), mistake))
         return [mistake for _, mistake in sorted(found, key=lambda pair: pair[0])]
 
     def _possible(self, r: Response) -> bool:
         return self.settings.weakest < abs(r.gain) < self.settings.strongest
 
-    def _agree(self, far: _Known, after: _Known) -> bool:
-        near = all(_within(after[key].gain, self.settings.near) for key in far)
+    def _agree(self, beyond: _ByKey, after: _ByKey) -> bool:
+        near = all(_within(after[key].gain, self.settings.near) for key in beyond)
         return near and all(map(self._possible, after.values()))
 
     def without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
 
-    def _allowed(self, mistake: Mistake) -> bool:
+    def _consistent(self, mistake: Mistake) -> bool:
         """Whether pose rates and velocities agree as well without a mistake as with it."""
         if not self.kinematics:
             return True
         given = self.kinematics.mismatch(self.runs).total
         return self.kinematics.mismatch(self.without(mistake)).total < 1.25 * given + 0.01
 
-    def _readings(self) -> Iterator[Mistake]:
+    def _units_of_motion(self) -> Iterator[Mistake]:
         """Units of what was measured."""
         # Pose rates have been compared with velocities, and so has the clock.
         yield from () if self.kinematics else (m for m, _ in likely_time_units(self.runs, self.mapping))
         known = reading_mistakes(self.mapping, self.runs)
         yield from (m for m in known if m.id in UNITS_OF_MOTION or "degrees" in m.id)
 
-    def _commands(self, far: _Known) -> Iterator[Mistake]:
+    def _units_of_commands(self, beyond: _ByKey) -> Iterator[Mistake]:
         """Units of commands: those that are known, one command, or all of them times a factor."""
         yield from other_units(self.vehicle, self.runs)
         by_name: dict[str, list[float]] = {}
-        for (_, name), r in far.items():
+        for (_, name), r in beyond.items():
             by_name.setdefault(name, []).append(r.gain)
         factors = {name: float(np.median(np.abs(gains))) for name, gains in by_name.items()}
         one = {(name,): factor for name, factor in factors.items() if name}
         everything = {self.vehicle.command_names: float(np.median([*factors.values()]))}
         for names, factor in (one | everything).items():
             if _within(factor, self.settings.command):
-                yield times(names, factor)
+                yield scaled_commands(names, factor)
 
     # --- size ------------------------------------------------------------------------------------
     def by_size(self) -> Explanation | None:
@@ -428,8 +421,8 @@ class _PlausibilityCheck:
     def _too_fast(
         self, names: tuple[str, ...], value: float, limit: float, mass: float
     ) -> Explanation | None:
-        units = (m for m in self._readings() if self._fastest(self.without(m), names) <= limit)
-        found = [m for m in units if self._allowed(m)]
+        units = (m for m in self._units_of_motion() if self._fastest(self.without(m), names) <= limit)
+        found = [m for m in units if self._consistent(m)]
         if not found:
             return None
         unit = "m/s" if names == SPEEDS else "rad/s"
@@ -442,24 +435,27 @@ class _PlausibilityCheck:
         """Rudder and fin angles too large for radians: in degrees."""
         limit = self.settings.angle
         sizes = {n: _rms(self.runs, n) for n in self.vehicle.angle_names}
-        far = {n: size for n, size in sizes.items() if size > limit}
-        if not far:
+        beyond = {n: size for n, size in sizes.items() if size > limit}
+        if not beyond:
             return None
-        mistake, worst = _in_degrees(tuple(far)), max(far, key=lambda n: far[n])
-        why = f"{worst} is {far[worst]:.4g} rad rms, but no rudder or fin turns by more than {limit:.4g} rad"
-        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": far[worst], "limit": limit}, [])
+        mistake, worst = _in_degrees(tuple(beyond)), max(beyond, key=lambda n: beyond[n])
+        size = beyond[worst]
+        why = f"{worst} is {size:.4g} rad rms, but no rudder or fin turns by more than {limit:.4g} rad"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": size, "limit": limit}, [])
 
     def by_limits(self) -> Explanation | None:
         """Commands far beyond their limit in the vehicle file."""
         limits = self.vehicle.largest_commands
         beyond = {n: _rms(self.runs, n) / limit for n, limit in limits.items()}
-        far = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
-        if not far:
+        beyond = {n: ratio for n, ratio in beyond.items() if ratio > self.settings.limit}
+        if not beyond:
             return None
-        worst = max(far, key=lambda n: far[n])
+        worst = max(beyond, key=lambda n: beyond[n])
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
-        mistake = known[0] if known else times(tuple(far), float(1.0 / np.median([*far.values()])))
-        value, limit = far[worst] * limits[worst], limits[worst]
+        mistake = (
+            known[0] if known else scaled_commands(tuple(beyond), float(1.0 / np.median([*beyond.values()])))
+        )
+        value, limit = beyond[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
 
@@ -472,26 +468,26 @@ def exceeded_limits(
     if any(isinstance(effect, ThrusterSaturation) for effect in vehicle.effects):
         return
     limits = {n: limit for n, limit in vehicle.command_limits.items() if n not in cut}
-    over = {n: _over(runs, n) / limit for n, limit in limits.items()}
-    far = {n: float(np.mean(ratio > settings.beyond)) for n, ratio in over.items() if len(ratio)}
-    far = {n: share for n, share in far.items() if share > settings.often}
-    if not far:
+    over = {n: _magnitudes(runs, n) / limit for n, limit in limits.items()}
+    beyond = {n: float(np.mean(ratio > settings.over_limit)) for n, ratio in over.items() if len(ratio)}
+    beyond = {n: share for n, share in beyond.items() if share > settings.over_limit_share}
+    if not beyond:
         return
-    worst = max(far, key=lambda n: far[n])
+    worst = max(beyond, key=lambda n: beyond[n])
     most, limit = limits[worst] * float(np.max(over[worst])), limits[worst]
     yield Finding(
         id="limits_exceeded",
         severity="warning",
         text=f"commands exceed the limit in the vehicle file and the model does not cut them off: {worst} in "
-        f"{percent(far[worst])} of the samples, up to {most:.4g}, limit {limit:.4g}"
-        + (f" (also {', '.join(n for n in far if n != worst)})" if len(far) > 1 else "")
+        f"{percent(beyond[worst])} of the samples, up to {most:.4g}, limit {limit:.4g}"
+        + (f" (also {', '.join(n for n in beyond if n != worst)})" if len(beyond) > 1 else "")
         + "; if the thruster cuts them off, undertow add thruster_saturation, else correct the limit, or the "
         "scale in the mapping file",
-        evidence={"share": far[worst], "limit": limit},
+        evidence={"share": beyond[worst], "limit": limit},
     )
 
 
-def _over(runs: Sequence[Run], name: str) -> Array:
+def _magnitudes(runs: Sequence[Run], name: str) -> Array:
     """Magnitudes of a command where it was logged."""
     data = np.abs(np.concatenate([run.channels[name] for run in runs]))
     return data[np.isfinite(data)]
@@ -514,11 +510,11 @@ def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, floa
 
 def _in_degrees(names: tuple[str, ...]) -> Mistake:
     """Angles of rudders and fins in degrees."""
-    clause = f"{they_are(names)} in degrees, read as radians"
+    clause = f"{names_with_verb(names)} in degrees, read as radians"
     return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))
 
 
-def times(names: tuple[str, ...], found: float) -> Mistake:
+def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:
     """Commands too large or too small by a factor, rounded if near a power of ten."""
     ten = 10.0 ** round(np.log10(found))
     factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")

@@ -23,8 +23,8 @@ class HeadingSettings:
     # moves ahead: boats, torpedoes and gliders, in currents up to a third of their speed.
     ahead: float = 0.9
     # The same below which it does not; half of it is 60 degrees.
-    astray: float = 0.5
-    # Length of the mean of the heading's direction from which it is so steady that it tells nothing.
+    off_course: float = 0.5
+    # Length of the mean of the heading's direction from which it is too steady to be informative.
     steady: float = 0.9
 
 
@@ -43,7 +43,7 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     if ahead > SETTINGS.ahead:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
-    turns = _steadiness(runs) < SETTINGS.steady and ahead < SETTINGS.astray
+    turns = _steadiness(runs) < SETTINGS.steady and ahead < SETTINGS.off_course
     found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
     yield _mirrored(found, ahead, mapping) if found else _unchecked(ahead)
 

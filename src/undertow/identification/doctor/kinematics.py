@@ -151,7 +151,7 @@ class Kinematics:
         for piece in run.segments(self.channels):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = weights_over(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
+            functions = cached_test_functions(t, width * knot_spacing(run.clock)) if len(t) > 2 else None
             if functions is not None:
                 result.append(Segment(index, part, t, functions))
         return result
@@ -173,12 +173,12 @@ class Kinematics:
 
     def _rates(self, run: Run, s: Segment) -> tuple[Array, Array, Array]:
         at, f, places = self.samples(run, s), s.functions, self.places
-        moved = np.einsum("nij,nj->ni", at.jacobian, at.velocity)[:, places]
+        pose_rate = np.einsum("nij,nj->ni", at.jacobian, at.velocity)[:, places]
         noise = self._noise(run)
-        shaken = np.broadcast_to(noise[places] ** 2, moved.shape)
-        variance = f.rate.power(2) @ shaken + f.value.power(2) @ at.variance(noise)[:, places]
+        pose_variance = np.broadcast_to(noise[places] ** 2, pose_rate.shape)
+        variance = f.rate.power(2) @ pose_variance + f.value.power(2) @ at.variance(noise)[:, places]
         length = s.length[:, None]
-        return -(f.rate @ at.pose[:, places]) / length, (f.value @ moved) / length, variance / length**2
+        return -(f.rate @ at.pose[:, places]) / length, (f.value @ pose_rate) / length, variance / length**2
 
     def table(self, run: Run, names: tuple[str, ...]) -> Array:
         """Six columns; what the run lacks, or does not matter, is zero."""
@@ -210,9 +210,9 @@ class Kinematics:
 
     def mismatch(self, runs: Sequence[Run]) -> Mismatch:
         """How far pose rates and velocities of runs are apart."""
-        return self.of_rates(self.rates(runs))
+        return self.mismatch_of(self.rates(runs))
 
-    def of_rates(self, rates: Rates) -> Mismatch:
+    def mismatch_of(self, rates: Rates) -> Mismatch:
         """The same for rates that are known."""
         square = [np.mean(a, axis=0) for a in ((rates.pose - rates.velocity) ** 2, rates.variance)]
         power = np.mean(rates.pose**2 + rates.velocity**2, axis=0)
@@ -253,7 +253,7 @@ def rms(table: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
 
 
-def _own(runs: Sequence[Run], name: str) -> bool:
+def _measured(runs: Sequence[Run], name: str) -> bool:
     """Whether every run has a channel of its own."""
     return all(r.has(name) and name not in r.derived for r in runs)
 
@@ -268,7 +268,7 @@ def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
     if {"u", "r"} <= {*vehicle.velocity_names}:
         pairs = {"x": "u", "y": "u"} | pairs  # surge and a heading give both, with or without sway
     # A velocity that never changes while the pose does is compared, too: nothing was measured.
-    found = [p for p, v in pairs.items() if _own(runs, p) and _own(runs, v) and _changes(runs, p)]
+    found = [p for p, v in pairs.items() if _measured(runs, p) and _measured(runs, v) and _changes(runs, p)]
     turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)
     return [n for n in found if not (turns and n in ("x", "y"))]
 
@@ -297,7 +297,7 @@ def most_active(run: Run, names: Sequence[str], most: int) -> slice:
     return slice(first, first + most)
 
 
-def weights_over(t: Array, spacing: float) -> TestFunctions | None:
+def cached_test_functions(t: Array, spacing: float) -> TestFunctions | None:
     """Cached test functions over the samples of a segment, which is compared for every possible mistake."""
     return _weights_over(t.tobytes(), spacing)
 

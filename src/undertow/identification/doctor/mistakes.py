@@ -52,7 +52,7 @@ class Mistake:
     # How many single things would have had to go wrong: of two explanations the simpler one is believed.
     count: int = 1
     vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
-    both: tuple[Mistake, ...] = ()  # the two that it is made of, if it is
+    combined: tuple[Mistake, ...] = ()  # the two that it is made of, if it is
 
 
 @dataclass(frozen=True)
@@ -101,12 +101,12 @@ def exchanged(kind: str, clause: str, places: Mapping[str, tuple[str, float]], v
     return Mistake(kind, clause, undo, lambda m: reassigned(m, places), vehicle=vehicle)
 
 
-def turning(swap: Callable[[Mapping[str, Array]], Channels]) -> Undo:
+def changed_axes(swap: Callable[[Mapping[str, Array]], Channels]) -> Undo:
     """Apply a change of axes to all channels."""
     return lambda run: replace(run, channels=swap(run.channels))
 
 
-def both(first: Mistake, second: Mistake) -> Mistake:
+def combined(first: Mistake, second: Mistake) -> Mistake:
     """Two mistakes at once."""
 
     def edits(mapping: LogMapping) -> Edits:
@@ -119,7 +119,7 @@ def both(first: Mistake, second: Mistake) -> Mistake:
         lambda run: second.undo(first.undo(run)),
         edits,
         first.count + second.count,
-        both=(first, second),
+        combined=(first, second),
     )
 
 
@@ -149,7 +149,7 @@ class PlausibilitySettings:
     # Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
     # thrusters and added mass that is held too small stay below.
     doubtful: float = 2.5
-    alike: float = 1.25  # factor within which a unit must explain that
+    unit_tolerance: float = 1.25  # factor within which a unit must explain that
     near: float = 4.0  # factor within which the two must agree once a mistake is undone
     errors: float = 8.0  # standard errors by which a gain stands out of its scatter
     # Of the motion, beside what other forces explain, that commands must explain to be evidence. With a gain
@@ -168,8 +168,8 @@ class PlausibilitySettings:
     limit: float = 10.0
     # beyond, often: command over its limit that counts as beyond it, and the share of such samples from which
     # it is said. A limit is stated to two or three digits.
-    beyond: float = 1.02
-    often: float = 0.01
+    over_limit: float = 1.02
+    over_limit_share: float = 0.01
     # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
     angle: float = 1.571
     # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.
@@ -204,8 +204,8 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
         return None
     ratio = _pose_rate_over_velocity(kinematics, runs)
     linear = {*kinematics.rows} & {*POSITIONS}
-    both = bool(linear) and len(linear) < len(kinematics.rows)
-    units = _time_units(mapping) if both else likely_time_units(runs, mapping)
+    linear_and_angular = bool(linear) and len(linear) < len(kinematics.rows)
+    units = _time_units(mapping) if linear_and_angular else likely_time_units(runs, mapping)
     found = next(((m, f) for m, f in units if abs(ratio / f - 1.0) < PLAUSIBLE.ratio), None)
     # A minute has 60 seconds, a radian 57.3 degrees: of angles alone the nearer of them is meant.
     degrees = [] if linear else [180 / np.pi, np.pi / 180]
@@ -233,14 +233,14 @@ def _time_units(mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:
                 Mistake(
                     "time_unit",
                     f"the times are in {other}, read as {unit}",
-                    lambda run, factor=factor: _slower(run, factor),  # type: ignore[misc]
+                    lambda run, factor=factor: _with_clock_factor(run, factor),  # type: ignore[misc]
                     lambda m, other=other: (Edit("time", "unit", other),),  # type: ignore[misc]
                 ),
                 factor,
             )
 
 
-def _slower(run: Run, factor: float) -> Run:
+def _with_clock_factor(run: Run, factor: float) -> Run:
     """A run whose clock goes by a factor; what was derived from its pose is slower by it."""
     moved = with_channels(run, {n: run.channels[n] / factor for n in run.derived})
     return replace(moved, t=factor * run.t, resolution=factor * run.resolution)
@@ -258,17 +258,17 @@ def _pose_rate_over_velocity(kinematics: Kinematics, runs: Sequence[Run]) -> flo
 # --- lengths and speeds -------------------------------------------------------------------------
 def other_units_of_motion(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """Velocities, positions or both in another unit; all of a kind, or some of them."""
-    for names in _present((SPEEDS, *((n,) for n in SPEEDS)), moving):
+    for names in _present_groups((SPEEDS, *((n,) for n in SPEEDS)), moving):
         yield from (_in_unit("speed_unit", mapping, names, unit, unit) for unit in _SPEEDS)
-    for names in _present((POSITIONS, ("x", "y"), ("z",)), moving):
+    for names in _present_groups((POSITIONS, ("x", "y"), ("z",)), moving):
         yield from (_in_unit("length_unit", mapping, names, unit, unit) for unit in _LENGTHS)
     positions, speeds = (tuple(n for n in group if n in moving) for group in (POSITIONS, SPEEDS))
     if positions and speeds:
         names = (*positions, *speeds)
-        yield from (_in_unit("motion_unit", mapping, names, *both) for both in _LENGTHS.items())
+        yield from (_in_unit("motion_unit", mapping, names, *units) for units in _LENGTHS.items())
 
 
-def _present(groups: Sequence[tuple[str, ...]], moving: set[str]) -> Iterator[tuple[str, ...]]:
+def _present_groups(groups: Sequence[tuple[str, ...]], moving: set[str]) -> Iterator[tuple[str, ...]]:
     """What there is of each group, each set once."""
     found = (tuple(n for n in group if n in moving) for group in groups)
     yield from dict.fromkeys(names for names in found if names)
@@ -285,7 +285,7 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
 
     clause = " and ".join(dict.fromkeys(units.values()))
     was = " and ".join(dict.fromkeys(read_as.values()))
-    return Mistake(kind, f"{they_are(names)} in {clause}, read as {was}", scaling(factors), edits)
+    return Mistake(kind, f"{names_with_verb(names)} in {clause}, read as {was}", scaling(factors), edits)
 
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
@@ -330,13 +330,13 @@ def read_in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         *tilt,
         *turn,
     ]
-    for names in _present(groups, moving):
+    for names in _present_groups(groups, moving):
         deg = any("deg" in (column_of(mapping, n)[1].unit or "") for n in names)
         is_in, read_as = ("radians", "degrees") if deg else ("degrees", "radians")
         factor = 180 / np.pi if deg else np.pi / 180
         yield Mistake(
             "radians_for_degrees" if deg else "degrees_for_radians",
-            f"{they_are(names)} in {is_in}, read as {read_as}",
+            f"{names_with_verb(names)} in {is_in}, read as {read_as}",
             _rescaled(names, factor, np.pi / 2 if attitude_of(mapping) == "ENU" else 0.0),
             lambda m, names=names, deg=deg: _unit_edits(m, names, "rad" if deg else "deg"),  # type: ignore[misc]
         )
@@ -377,7 +377,7 @@ def other_frames(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         yield Mistake(
             "frame",
             _frames_clause(wrong, meant),
-            _turned(wrong, spec.velocity),
+            _turned_axes(wrong, spec.velocity),
             lambda m, meant=meant: frames_edits(m, **meant),  # type: ignore[misc]
             (1 if together else len(wrong)) + misnamed,
         )
@@ -402,7 +402,7 @@ def _frames_clause(wrong: list[str], meant: dict[str, str]) -> str:
     return ", and ".join((_HEADINGS if key == "attitude" else _FRAMES)[meant[key]] for key in wrong)
 
 
-def _turned(keys: list[str], velocity: str) -> Undo:
+def _turned_axes(keys: list[str], velocity: str) -> Undo:
     """Turn some of position, body and attitude; velocities along the earth go with the position."""
 
     def turn(channels: Mapping[str, Array]) -> Channels:
@@ -414,7 +414,7 @@ def _turned(keys: list[str], velocity: str) -> Undo:
         linear = {n: turned[axis] for n, axis in zip("uvw", "xyz", strict=True) if n in channels}
         return velocity_to_body({**turn(channels), **linear}, "NED")
 
-    return turning(turn if velocity == "body" else turn_along_the_earth)
+    return changed_axes(turn if velocity == "body" else turn_along_the_earth)
 
 
 def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
@@ -432,7 +432,7 @@ def velocity_along_the_earth(mapping: LogMapping, moving: set[str]) -> Iterator[
         yield Mistake(
             "velocity_in_ned",
             f"u, v, w are velocities {clause}, read as velocities along body axes",
-            turning(swap),
+            changed_axes(swap),
             lambda m, axes=axes: (Edit("frames", "velocity", axes),),  # type: ignore[misc]
         )
 
@@ -447,7 +447,7 @@ _EAST_NORTH = {"x": ("y", 1.0), "y": ("x", 1.0)}
 
 
 # --- signs and quarter turns ------------------------------------------------------------------
-def flipped(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+def flipped_axes(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """One channel with the opposite sign."""
     for name in (*POSE, *VELOCITY):
         if name not in moving or (name == "psi" and attitude_of(mapping) == "ENU"):
@@ -485,7 +485,7 @@ def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         )
 
 
-def they_are(names: tuple[str, ...]) -> str:
+def names_with_verb(names: tuple[str, ...]) -> str:
     """The names of channels with "is" or "are"."""
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
 
@@ -496,23 +496,23 @@ KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (
     other_frames,
     velocity_along_the_earth,
     swapped_position,
-    flipped,
+    flipped_axes,
     turned_heading,
     turned_velocity,
 )
 
 
 _TURN = 2 * np.pi
-_NEAR = 0.3
-_QUIET = 0.5
+_TURN_TOLERANCE = 0.3
+_SMALL_STEP = 0.5
 # Pitch ends upright: a share of the samples beyond that is none; and rad that no vehicle turns in a second.
-_UPRIGHT, _OFTEN, _FASTEST = 1.05 * np.pi / 2, 0.01, np.pi
+_LARGEST_PITCH, _PITCH_SHARE, _LARGEST_TURN = 1.05 * np.pi / 2, 0.01, np.pi
 
 
 def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
     """Angles that jump by a whole turn."""
     for name in ANGLES:
-        count = sum(_jumps(run, name) for run in runs)
+        count = sum(_full_turns(run, name) for run in runs)
         if count:
             mistake = Mistake(
                 "wrapped_angle",
@@ -526,9 +526,9 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
 
 def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
     """Pitch that is too large, or a heading that turns too fast, to be in radians."""
-    tilted = "theta" in names and any(_beyond_upright(run) > _OFTEN for run in runs)
-    turning = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
-    if not tilted and turning < _FASTEST:
+    tilted = "theta" in names and any(_beyond_upright(run) > _PITCH_SHARE for run in runs)
+    turn = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
+    if not tilted and turn < _LARGEST_TURN:
         return None
     known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
     wanted = {n for n in (ANGLES if tilted else ("psi",)) if runs[0].has(n)}
@@ -538,7 +538,7 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
     reason = (
         f"theta reaches {max(np.abs(_present_angles(r, 'theta')).max() for r in runs):.3g} in the log"
         if tilted
-        else f"psi changes by {turning:.3g} in an ordinary second"
+        else f"psi changes by {turn:.3g} in an ordinary second"
     )
     return Explanation(found, f"{found.clause}: {reason}, which no vehicle can have in radians", {})
 
@@ -551,7 +551,7 @@ def changed_channels(mistake: Mistake, run: Run) -> set[str]:
 
 def _beyond_upright(run: Run) -> float:
     data = _present_angles(run, "theta")
-    return float(np.mean(np.abs(data) > _UPRIGHT)) if len(data) else 0.0
+    return float(np.mean(np.abs(data) > _LARGEST_PITCH)) if len(data) else 0.0
 
 
 def _turned_in_a_second(run: Run) -> float:
@@ -570,12 +570,12 @@ def _unwrapping(name: str) -> Undo:
     return lambda run: with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
 
 
-def _jumps(run: Run, name: str) -> int:
+def _full_turns(run: Run, name: str) -> int:
     """Steps by a turn between small ones: where those beside them are large, too, it only turns fast."""
     step = np.abs(np.diff(_present_angles(run, name)))
     beside = np.pad(step, 1)
-    alone = np.maximum(beside[:-2], beside[2:]) < 2 * _QUIET
-    return int(np.sum((np.abs(step - _TURN) < _NEAR) & alone))
+    alone = np.maximum(beside[:-2], beside[2:]) < 2 * _SMALL_STEP
+    return int(np.sum((np.abs(step - _TURN) < _TURN_TOLERANCE) & alone))
 
 
 def _present_angles(run: Run, name: str) -> Array:
@@ -589,11 +589,11 @@ def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
     for run in runs:
         for name in ANGLES:
             step = np.diff(_present_angles(run, name))
-            if len(step) < 10 or np.median(np.abs(step)) > _QUIET:
+            if len(step) < 10 or np.median(np.abs(step)) > _SMALL_STEP:
                 continue
             two = np.abs(step[1:] + step[:-1])
-            split = np.minimum(np.abs(step[1:]), np.abs(step[:-1])) > _QUIET
-            count = int(np.sum((np.abs(two - _TURN) < _NEAR) & split))
+            split = np.minimum(np.abs(step[1:]), np.abs(step[:-1])) > _SMALL_STEP
+            count = int(np.sum((np.abs(two - _TURN) < _TURN_TOLERANCE) & split))
             if count:
                 yield Finding(
                     id="angle_across_its_jump",

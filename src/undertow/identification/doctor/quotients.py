@@ -26,20 +26,20 @@ from .sampling import jitter_of
 class QuotientSettings:
     """When a velocity counts as a quotient of the pose."""
 
-    around: int = 11  # samples in the median from which deviations of a quotient are taken
+    median_width: int = 11  # samples in the median from which deviations of a quotient are taken
     same: float = 0.1  # share of that deviation by which the velocity may differ from the quotient
     rows: float = 0.8  # share of the rows in which it must be that close
     fewest: int = 50  # rows that show it
     most: int = 20_000  # rows examined
     jitter: float = 0.05  # spread of the steps, as a share of the usual one, below which it does no harm
-    worth: float = 2e-3  # mismatch with the pose, as a share of the motion, below which it is not reported
+    least_mismatch: float = 2e-3  # with the pose, as a share of the motion, from which it is reported
     gross: float = 0.05  # mismatch from which a fit is refused
 
 
 SETTINGS = QuotientSettings()
 
 
-def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
+def quotients_of_pose(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     """Velocities of a run that are differences of its pose over jittering time steps."""
     if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
         return ()
@@ -47,7 +47,7 @@ def divided(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     pose = kinematics.table(run, POSE)
     quotients = [np.linalg.solve(jacobian(pose), rate[:, :, None])[:, :, 0] for rate in _rates(run.t, pose)]
     own = [n for n in VELOCITY if n in kinematics.channels and _compared(n, kinematics.rows)]
-    return tuple(n for n in own if any(_same(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients))
+    return tuple(n for n in own if any(_follows(run.channels[n], q[:, VELOCITY.index(n)]) for q in quotients))
 
 
 def _compared(velocity: str, rows: Sequence[str]) -> bool:
@@ -70,24 +70,24 @@ def _rates(t: Array, pose: Array) -> Iterator[Array]:
     yield np.concatenate([nothing, weight * quotient[:-1] + (1.0 - weight) * quotient[1:], nothing])
 
 
-def _same(velocity: Array, quotient: NDArray[np.floating]) -> bool:
+def _follows(velocity: Array, quotient: NDArray[np.floating]) -> bool:
     """Whether a velocity follows the deviations of a quotient from its local median."""
     there = np.isfinite(velocity) & np.isfinite(quotient)
     v, q = velocity[there], quotient[there]
     if len(q) < SETTINGS.fewest:
         return False
-    strays = np.abs(q - median_filter(q, SETTINGS.around))
-    far = strays > max(float(np.median(strays)), 1e-12)
-    return bool(far.any() and np.mean(np.abs(v - q)[far] < SETTINGS.same * strays[far]) > SETTINGS.rows)
+    deviations = np.abs(q - median_filter(q, SETTINGS.median_width))
+    far = deviations > max(float(np.median(deviations)), 1e-12)
+    return bool(far.any() and np.mean(np.abs(v - q)[far] < SETTINGS.same * deviations[far]) > SETTINGS.rows)
 
 
 def finding_on_quotients(
     runs: Sequence[Run], kinematics: Kinematics
 ) -> tuple[Finding | None, tuple[str, ...]]:
     """The finding on velocities that are quotients in any run, and their names; None without any."""
-    names = tuple(dict.fromkeys(n for run in runs for n in divided(run, kinematics)))
+    names = tuple(dict.fromkeys(n for run in runs for n in quotients_of_pose(run, kinematics)))
     excess = float(np.max(kinematics.mismatch(runs).excess)) if names else 0.0
-    if excess < SETTINGS.worth:
+    if excess < SETTINGS.least_mismatch:
         return None, ()
     pose = ", ".join(kinematics.rows)
     text = (

@@ -30,17 +30,17 @@ class SamplingSettings:
     missing: float = 0.02  # share of rows or cells that are missing
     most_time: float = 0.5  # share of the time in gaps, many of them, from which rows come in bursts
     # Where rows are lost from an even clock, this share of the longer steps is a whole number of usual ones,
-    # as near as this; a clock that ticks when it likes has steps of any length.
-    whole: float = 0.7
-    near: float = 0.2
+    # as near as this; an irregular clock has steps of any length.
+    whole_share: float = 0.7
+    whole_tolerance: float = 0.2
     held: float = 1.8  # rows per new value from which a sensor counts as slower than its log
     irregular: float = 0.35  # share of its intervals that may be irregular
-    excited: float = 3.0  # rms over noise below which a motion says nothing
-    tenth: float = 0.1  # share of its usual largest value that a velocity must exceed to count as motion
+    excited: float = 3.0  # rms over noise below which a motion is not informative
+    moving_share: float = 0.1  # share of its usual largest value from which a velocity is motion
     over_noise: float = 3.0  # and how many times its noise
     one_way: float = 0.05  # share of the motion below which a direction was not excited
     # Squared correlation of speed and its square beyond which drag laws cannot be told apart.
-    alike: float = 0.985
+    indistinct_laws: float = 0.985
     periodic: float = 0.9  # share of the power of a motion in one line of its spectrum: one period only
     periods: int = 10  # of that line in the longest log; below, a line is a step or a drift as well
     reversals: int = 2  # changes of direction that dead band and dry friction need
@@ -51,9 +51,9 @@ class SamplingSettings:
     # Noise that no sensor is below, in the unit of its channel: a tenth of that of the best tracking systems
     # (10^-4 m, 10^-5 rad), Doppler logs (10^-4 m/s) and fibre-optic gyros (10^-6 rad/s).
     least_noise: tuple[tuple[str, float], ...] = (("m", 1e-5), ("rad", 1e-6), ("m/s", 1e-5), ("rad/s", 1e-7))
-    stretch: int = 256  # samples of a segment whose spectrum is taken
+    spectrum_samples: int = 256  # samples of a segment whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
-    steep: float = 0.7
+    cut_off_slope: float = 0.7
     # Share of the usual slope below which a change of slope is rounding, and above which it is a new sample;
     # share of the moving rows that lie on a straight line from which a channel was interpolated.
     straight: tuple[float, float] = (1e-6, 1e-3)
@@ -72,30 +72,30 @@ DROP = (Edit("time", "disorder", "drop"),)
 
 def sampling(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> list[Finding]:
     """Everything about the clock of runs."""
-    found = list(_of_runs(runs, channels, mapping))
+    found = list(_worst_of_runs(runs, channels, mapping))
     slow = [f for name in channels if (f := _held(runs, name, mapping)) is not None]
     return [*found, *_filtered(runs, channels), *slow, *_interpolated(runs, channels, mapping)]
 
 
-def _of_runs(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
+def _worst_of_runs(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
     """Findings in runs; if several agree, the worst one with the names of the others."""
-    found = [(run.name, f) for run in runs for f in _of_run(run, channels, mapping)]
+    found = [(run.name, f) for run in runs for f in _findings_of_run(run, channels, mapping)]
     kinds: dict[tuple[str, str], list[tuple[str, Finding]]] = {}
     for name, f in found:
         kinds.setdefault((f.id, f.severity), []).append((name, f))
-    for alike in kinds.values():
-        name, worst = max(alike, key=lambda pair: next(iter(pair[1].evidence.values())))
-        others = [other for other, _ in alike if other != name]
-        text = f"{name}: {worst.text}" + (f"; less so in {_listed(others)}" if others else "")
+    for same_kind in kinds.values():
+        name, worst = max(same_kind, key=lambda pair: next(iter(pair[1].evidence.values())))
+        others = [other for other, _ in same_kind if other != name]
+        text = f"{name}: {worst.text}" + (f"; less so in {_first_names(others)}" if others else "")
         yield worst.model_copy(update={"text": text})
 
 
-def _listed(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     shown = SETTINGS.names
     return ", ".join(names[:shown]) + (f" and {len(names) - shown} more" if len(names) > shown else "")
 
 
-def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
+def _findings_of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
     """Findings whose first number says how bad it is, with texts that do not name the run."""
     step = np.diff(run.clock)
     usual = float(np.median(step))
@@ -103,7 +103,7 @@ def _of_run(run: Run, channels: Sequence[str], mapping: LogMapping) -> Iterator[
     yield from _bursts(step, usual) or _lost_rows(run, step, usual)
     yield from _irregular(run.clock, usual)
     yield from _dense(usual, mapping)
-    yield from _absent(run, channels)
+    yield from _missing_samples(run, channels)
 
 
 def _irregular(clock: Array, usual: float) -> Iterator[Finding]:
@@ -118,10 +118,7 @@ def _irregular(clock: Array, usual: float) -> Iterator[Finding]:
     irregular = f"sampling is irregular: steps of {usual:.4g} s vary by {jitter:.0%}"
     if not off < SETTINGS.rounded * digits:
         yield Finding(
-            id="jitter",
-            severity="note",
-            text=f"{irregular} (times are used as they are)",
-            evidence=evidence,
+            id="jitter", severity="note", text=f"{irregular} (times are used as they are)", evidence=evidence
         )
         return
     yield Finding(
@@ -208,7 +205,7 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
 def _are_whole(ratios: Array) -> bool:
     """Whether steps, in usual ones, are those of an even clock with rows left out."""
     off = np.abs(ratios - np.round(ratios))
-    return bool(len(ratios)) and float(np.mean(off < SETTINGS.near)) > SETTINGS.whole
+    return bool(len(ratios)) and float(np.mean(off < SETTINGS.whole_tolerance)) > SETTINGS.whole_share
 
 
 def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
@@ -225,7 +222,7 @@ def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
         )
 
 
-def _absent(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
+def _missing_samples(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
     """Cells without a value, in the worst channel."""
     shares = {n: float(np.mean(np.isnan(run.channels[n]))) for n in channels if run.has(n)}
     worst = max(shares, key=lambda n: shares[n], default=None)
@@ -306,9 +303,9 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     regular = float(np.mean(np.abs(between - usual) <= np.maximum(1.0, 0.2 * usual))) > 1 - SETTINGS.irregular
     # Where the sensor moves by many of its steps from row to row, or by no whole number of them, repeats are
     # no coarse readings.
-    moved = np.abs(y[at + 1] - y[at])
-    moved = moved / np.min(moved)
-    coarse = np.median(moved) < 2 and np.median(np.abs(moved - np.round(moved))) < SETTINGS.multiple
+    steps = np.abs(y[at + 1] - y[at])
+    steps = steps / np.min(steps)
+    coarse = np.median(steps) < 2 and np.median(np.abs(steps - np.round(steps))) < SETTINGS.multiple
     if usual < SETTINGS.held or not regular or coarse:
         return None
     return usual, float(np.median(np.diff(t[at])))
@@ -317,7 +314,7 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
 # --- interpolated before they were logged -------------------------------------------------------
 def _interpolated(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> Iterator[Finding]:
     """Channels whose rows lie on straight lines between the samples of a slower sensor."""
-    rows = {n: period for n in channels if (period := _rows_on_lines(runs, n)) is not None}
+    rows = {n: period for n in channels if (period := _interpolated_rows(runs, n)) is not None}
     if not rows:
         return
     usual = float(np.median(list(rows.values())))
@@ -336,14 +333,14 @@ def _interpolated(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapp
     )
 
 
-def _rows_on_lines(runs: Sequence[Run], name: str) -> float | None:
+def _interpolated_rows(runs: Sequence[Run], name: str) -> float | None:
     """Rows per new sample of a channel that was interpolated linearly in all runs; None for others."""
-    periods = [_straight_rows(r, name) for r in runs if r.has(name) and name not in r.derived]
+    periods = [_rows_per_sample(r, name) for r in runs if r.has(name) and name not in r.derived]
     found = [p for p in periods if p is not None]
     return float(np.median(found)) if found and len(found) == len(periods) else None
 
 
-def _straight_rows(run: Run, name: str) -> float | None:
+def _rows_per_sample(run: Run, name: str) -> float | None:
     there = np.flatnonzero(np.isfinite(run.channels[name]))
     slope = np.diff(run.channels[name][there]) / np.diff(run.t[there])
     moving = (slope[1:] != 0.0) & (slope[:-1] != 0.0)
@@ -383,29 +380,29 @@ def was_filtered(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:
 
 def _cut_off(run: Run, name: str) -> float | None:
     """Frequency above which the spectrum of a channel falls off, or None where white noise is in it."""
-    stretch = max(run.segments([name]), key=lambda s: s.stop - s.start, default=slice(0))
-    t, y = run.t[stretch], run.channels[name][stretch]
+    segment = max(run.segments([name]), key=lambda s: s.stop - s.start, default=slice(0))
+    t, y = run.t[segment], run.channels[name][segment]
     noise = noise_by_order(t, y)
     moving = np.any(np.diff(y)) and np.mean(np.diff(y) == 0.0) < SETTINGS.repeats
-    if len(t) < SETTINGS.stretch or not noise or not moving:
+    if len(t) < SETTINGS.spectrum_samples or not noise or not moving:
         return None
     white = noise[-1] > SETTINGS.not_white * noise[len(noise) // 2]
     credible = min(noise) > dict(SETTINGS.least_noise).get(UNITS.get(name, ""), 0.0)
-    return None if white and credible else _fall(t, y)
+    return None if white and credible else _cut_off_frequency(t, y)
 
 
-def _fall(t: Array, y: Array) -> float:
+def _cut_off_frequency(t: Array, y: Array) -> float:
     """Lowest frequency, Hz, from which the spectrum of a signal falls nearly as steeply as it ever does."""
     from scipy.signal import welch  # slow to import, and few logs come this far
 
     step = float(np.median(np.diff(t)))
     # Differences: else the leakage of the slow motion, which is far larger, hides the rest.
 
-    f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.stretch, detrend="linear")
+    f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.spectrum_samples, detrend="linear")
     level = 10 * np.log10(power[1:] / np.sin(np.pi * f[1:] * step) ** 2 + 1e-300)
     grid = np.geomspace(f[4], f[-1] / np.sqrt(2), 40)
     fall = np.interp(grid, f[1:], level) - np.interp(np.sqrt(2) * grid, f[1:], level)
-    return float(grid[np.argmax(fall >= SETTINGS.steep * np.max(fall))])
+    return float(grid[np.argmax(fall >= SETTINGS.cut_off_slope * np.max(fall))])
 
 
 def _filtered(runs: Sequence[Run], channels: Sequence[str]) -> Iterator[Finding]:
@@ -438,7 +435,8 @@ class _Motion:
     @property
     def threshold(self) -> float:
         return max(
-            SETTINGS.over_noise * self.noise, SETTINGS.tenth * float(np.quantile(np.abs(self.all), 0.98))
+            SETTINGS.over_noise * self.noise,
+            SETTINGS.moving_share * float(np.quantile(np.abs(self.all), 0.98)),
         )
 
     @property
@@ -456,7 +454,7 @@ class _Motion:
         return self.all[np.abs(self.all) > self.threshold]
 
     @property
-    def only_period(self) -> float | None:
+    def single_period(self) -> float | None:
         """Period, in samples, of a motion that has only one; None of any other."""
         longest = max(map(len, self.parts))
         spectra = [np.abs(np.fft.rfft(_windowed(part), longest)) ** 2 for part in self.parts]
@@ -541,9 +539,9 @@ def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
     if min(np.mean(moving > 0), np.mean(moving < 0)) < SETTINGS.one_way:
         yield "drag in the other direction"
     speed = np.abs(moving)
-    if _alike(speed):
+    if _laws_indistinct(speed):
         yield "linear and quadratic drag separately (one speed only)"
-    if (period := motion.only_period) is not None:
+    if (period := motion.single_period) is not None:
         # A sine has two numbers, its size and its phase, to be explained.
         wave = "" if driven else ", nor tell these from a wave that keeps it swinging"
         only = f"(one period only, {period * step:.3g} s)"
@@ -552,11 +550,11 @@ def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
         yield "dead band and dry friction (hardly any reversals)"
 
 
-def _alike(speed: Array) -> bool:
+def _laws_indistinct(speed: Array) -> bool:
     """Whether a straight line through zero explains the square of the speed."""
     square = speed**2
     left = square - speed * (speed @ square) / (speed @ speed)
-    return bool(left @ left < (1 - SETTINGS.alike) * (square @ square))
+    return bool(left @ left < (1 - SETTINGS.indistinct_laws) * (square @ square))
 
 
 def excitation_findings(
@@ -565,31 +563,31 @@ def excitation_findings(
     """Degrees of freedom that were not excited, and parameters that the motion cannot identify."""
     for row in rows:
         if row.cannot:
-            dead = not _moved(row)
+            unexcited = not _is_excited(row)
             yield Finding(
                 id="excitation",
-                severity="warning" if dead else "note",
+                severity="warning" if unexcited else "note",
                 text=f"{row.degree_of_freedom} ({row.velocity}: rms {row.rms:.3g}, noise {row.noise:.2g} "
                 f"{row.unit}; {row.reversals} reversals) cannot show {'; '.join(row.cannot)}",
                 evidence={"rms": row.rms, "noise": row.noise, "reversals": float(row.reversals)},
             )
     yield from _headings(vehicle, runs)
-    yield from _still_commands(rows, vehicle, runs)
+    yield from _constant_commands(rows, vehicle, runs)
     yield from _unused_inputs(vehicle, runs)
     yield from _unused_forces(vehicle, runs)
 
 
-def _still_commands(
+def _constant_commands(
     rows: Sequence[DofExcitation], vehicle: Vehicle, runs: Sequence[Run]
 ) -> Iterator[Finding]:
     """Commands that never change: they cannot be identified, and the column may be the wrong one."""
-    still = {n for n in vehicle.command_names if all(_still(run.channels[n]) for run in runs)}
+    still = {n for n in vehicle.command_names if all(_is_constant(run.channels[n]) for run in runs)}
     if not still:
         return
     moving = [
         row.degree_of_freedom
         for row, place in zip(rows, vehicle.dof_indices, strict=True)
-        if _moved(row) and (acting := _acting_on(vehicle, place)) and still.issuperset(acting)
+        if _is_excited(row) and (acting := _acting_on(vehicle, place)) and still.issuperset(acting)
     ]
     names = [n for n in vehicle.command_names if n in still]
     clause = (
@@ -625,7 +623,7 @@ def _unused_inputs(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
 def _unused_forces(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     """Forces that the log holds, of a vehicle that nothing drives."""
     rows = [FORCES[place] for place in vehicle.dof_indices]
-    names = [n for n in rows if any(r.has(n) and not _still(r.channels[n]) for r in runs)]
+    names = [n for n in rows if any(r.has(n) and not _is_constant(r.channels[n]) for r in runs)]
     if names and not (vehicle.actuator_names or vehicle.force_channels):
         listed = ", ".join(f'"{n}"' for n in names)
         yield Finding(
@@ -637,12 +635,12 @@ def _unused_forces(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         )
 
 
-def _still(data: Array) -> bool:
+def _is_constant(data: Array) -> bool:
     there = data[np.isfinite(data)]
     return not len(there) or bool(np.max(there) == np.min(there))
 
 
-def _moved(row: DofExcitation) -> bool:
+def _is_excited(row: DofExcitation) -> bool:
     return not any(text.startswith("anything") for text in row.cannot)
 
 

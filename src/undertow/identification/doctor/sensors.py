@@ -22,15 +22,15 @@ from .mistakes import (
     SPEEDS,
     UNITS_OF_MOTION,
     Mistake,
-    both,
+    changed_axes,
     changed_channels,
-    turning,
+    combined,
     with_channels,
 )
 
 LATE_COURSE = "velocities and heading late against the position"
 """A clock, no effect: `latencies` looks for it, and other explanations have to do better."""
-_ALIKE = {
+_EQUIVALENT_EFFECTS = {
     "velocity_misalignment": ("attitude_bias",),
     "velocity_lever_arm": ("position_lever_arm",),
 }
@@ -43,24 +43,24 @@ class SensorSettings:
     # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
     cluster: int = 8
     # Share of the motion below which a mismatch is left to the effects that describe real sensors.
-    matters: float = 0.02
+    least_mismatch: float = 0.02
     over_noise: float = 4.0  # mismatch over that by noise alone from which it counts
     decisive: float = 4.0  # factor that undoing a mistake must take off the mean square
     worse: float = 1.25  # factor by which another pose rate may get worse
-    slightly: float = 0.01  # and by how much on top of that
+    worse_by: float = 0.01  # and by how much on top of that
     # Explanations that leave no more than this many times the best one's excess are as good as it.
     as_good: float = 2.0
-    nothing: float = 3e-3  # excess that is none beside it
+    negligible: float = 3e-3  # excess that is none beside it
     gross: float = 0.3  # mismatch from which pairs of mistakes are looked for: hardly anything in common
-    few: int = 800  # samples in which they are looked for
-    sure: float = 6.0  # standard errors from which a parameter of a sensor is believed
+    few_samples: int = 800  # samples in which they are looked for
+    certain: float = 6.0  # standard errors from which a parameter of a sensor is believed
     explains: float = 0.5  # share of the mismatch that it may leave
-    worth: float = 5e-4  # mismatch below which it is not reported
-    water_worth: float = 2e-3  # the same for the velocity of the water
+    reported: float = 5e-4  # mismatch below which it is not reported
+    least_water: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
-    scale_error: float = 0.3  # standard error from which the scale of a velocity says nothing
-    rest: float = 0.05  # mismatch that is reported where nothing explains it
-    still: float = (
+    scale_error: float = 0.3  # standard error from which the scale of a velocity is not determined
+    unexplained: float = 0.05  # mismatch that is reported where nothing explains it
+    no_signal: float = (
         1e-3  # share of what the other does below which a pose rate, or a velocity, measures nothing
     )
 
@@ -81,7 +81,7 @@ class Sensor:
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects of the catalogue that would leave the same mismatch."""
-        return (self.id, *_ALIKE.get(self.id, ()))
+        return (self.id, *_EQUIVALENT_EFFECTS.get(self.id, ()))
 
     def parameters(self, value: Array) -> Array:
         """Parameters of the effect from what was fitted, a share of the reading in the case of a scale."""
@@ -121,34 +121,38 @@ def sensors(kinematics: Kinematics) -> list[Sensor]:
         kinds += _of_linear(linear, angular)
     if angular and kinematics.rows[-1] in ("phi", "theta", "psi"):
         kinds.append(
-            Sensor("sensor_bias", tuple(f"b_{n} rad/s" for n in angular), _chosen(_bias, angular), 0.2)
+            Sensor("sensor_bias", tuple(f"b_{n} rad/s" for n in angular), _columns_of(_bias, angular), 0.2)
         )
-        kinds.append(Sensor("sensor_scale", tuple(f"s_{n}" for n in angular), _chosen(_scale, angular), 0.5))
+        kinds.append(
+            Sensor("sensor_scale", tuple(f"s_{n}" for n in angular), _columns_of(_scale, angular), 0.5)
+        )
     return kinds
 
 
 def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
     found = [
-        Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _chosen(_bias, linear)),
+        Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _columns_of(_bias, linear)),
         # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
         Sensor("sensor_scale", ("s",), _common_scale, PLAUSIBLE.scale),
-        Sensor("sensor_delay", ("delay s",), _late, 3.0),
-        Sensor(LATE_COURSE, ("delay s",), _late_course),
+        Sensor("sensor_delay", ("delay s",), _delay, 3.0),
+        Sensor(LATE_COURSE, ("delay s",), _course_delay),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
     if "u" in linear and "v" in linear:
-        found.append(Sensor("velocity_misalignment", ("alpha rad",), _turned, 0.5))
+        found.append(Sensor("velocity_misalignment", ("alpha rad",), _misalignment, 0.5))
     arms = {"x_s": "r" in angular or "q" in angular, "y_s": "r" in angular or "p" in angular}
     arms["z_s"] = "p" in angular or "q" in angular
     names = [n for n, seen in arms.items() if seen]
     if names:
         places = ["xyz".index(n[0]) for n in names]
-        found.append(Sensor("velocity_lever_arm", tuple(f"{n} m" for n in names), _arm(places), 5.0))
+        found.append(Sensor("velocity_lever_arm", tuple(f"{n} m" for n in names), _lever_arm(places), 5.0))
     return found
 
 
 # --- columns ----------------------------------------------------------------------------------
-def _chosen(columns: Callable[[Samples], Array], names: Sequence[str]) -> Callable[[Samples, Segment], Array]:
+def _columns_of(
+    columns: Callable[[Samples], Array], names: Sequence[str]
+) -> Callable[[Samples, Segment], Array]:
     places = [VELOCITY.index(n) for n in names]
     return lambda at, _: columns(at)[:, :, places]
 
@@ -166,27 +170,27 @@ def _common_scale(at: Samples, _: Segment) -> Array:
     return _scale(at)[:, :, :3].sum(axis=2, keepdims=True)
 
 
-def _late(at: Samples, s: Segment) -> Array:
+def _delay(at: Samples, s: Segment) -> Array:
     """Velocities of a while ago: the change of J nu is the delay times J d(nu)/dt."""
     change = np.gradient(at.velocity[:, :3], s.times, axis=0)
     return np.einsum("nij,nj->ni", at.jacobian[:, :, :3], change)[:, :, None]
 
 
-def _late_course(at: Samples, s: Segment) -> Array:
+def _course_delay(at: Samples, s: Segment) -> Array:
     """Velocities and heading of a while ago, as of a receiver that smooths speed and course."""
-    moved = np.einsum("nij,nj->ni", at.jacobian[:, :3, :3], at.velocity[:, :3])
-    change = np.gradient(moved, s.times, axis=0)
+    rates = np.einsum("nij,nj->ni", at.jacobian[:, :3, :3], at.velocity[:, :3])
+    change = np.gradient(rates, s.times, axis=0)
     return np.concatenate([change, np.zeros_like(change)], axis=1)[:, :, None]
 
 
-def _turned(at: Samples, _: Segment) -> Array:
+def _misalignment(at: Samples, _: Segment) -> Array:
     """A sensor turned by alpha reads (u + alpha v, v - alpha u)."""
     u, v = at.velocity[:, 0], at.velocity[:, 1]
     real = np.stack([-v, u, np.zeros_like(u)], axis=1)
     return np.einsum("nij,nj->ni", at.jacobian[:, :, :3], real)[:, :, None]
 
 
-def _arm(places: list[int]) -> Callable[[Samples, Segment], Array]:
+def _lever_arm(places: list[int]) -> Callable[[Samples, Segment], Array]:
     """A sensor at r_s reads v + omega x r_s."""
 
     def columns(at: Samples, _: Segment) -> Array:
@@ -204,25 +208,27 @@ def _water(linear: list[str]) -> Callable[[Samples, Segment], Array]:
 
 # --- fit --------------------------------------------------------------------------------------
 def fit_sensor(
-    kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor: Sensor, beside: Sequence[Sensor] = ()
+    kinematics: Kinematics, runs: Sequence[Run], rates: Rates, sensor: Sensor, others: Sequence[Sensor] = ()
 ) -> SensorFit:
     """Fit one kind of deviation, with others beside it, to what pose rates and velocities differ by."""
-    columns = [regressor_of(kinematics, runs, one) for one in (sensor, *beside)]
+    columns = [regressor_of(kinematics, runs, one) for one in (sensor, *others)]
     regressor, own = np.concatenate(columns, axis=2), columns[0].shape[2]
     weight = rates.weight
     table = (regressor * weight[:, :, None]).reshape(-1, regressor.shape[2])
     target = ((rates.pose - rates.velocity) * weight).ravel()
     value, error = clustered_least_squares(table, target, SETTINGS.cluster * len(kinematics.rows))
     fitted = Rates(rates.pose, rates.velocity + regressor @ value, rates.variance)
-    return SensorFit(sensor, value[:own], error[:own], kinematics.of_rates(fitted))
+    return SensorFit(sensor, value[:own], error[:own], kinematics.mismatch_of(fitted))
 
 
 def regressor_of(kinematics: Kinematics, runs: Sequence[Run], sensor: Sensor) -> Array:
     """Change of J(eta) nu that each parameter makes, as means over test functions, (K, rows, k)."""
-    return np.concatenate([_tested(kinematics, runs[s.run], s, sensor) for s in kinematics.segments])
+    return np.concatenate(
+        [_segment_regressor(kinematics, runs[s.run], s, sensor) for s in kinematics.segments]
+    )
 
 
-def _tested(kinematics: Kinematics, run: Run, s: Segment, sensor: Sensor) -> Array:
+def _segment_regressor(kinematics: Kinematics, run: Run, s: Segment, sensor: Sensor) -> Array:
     """Mean of the columns over every test function, (K, rows, k)."""
     columns = sensor.columns(kinematics.samples(run, s), s)[:, kinematics.places]
     flat = s.functions.value @ columns.reshape(len(columns), -1)
@@ -265,15 +271,15 @@ class Explained:
     after: Mismatch
 
 
-def inconsistent(mismatch: Mismatch, least: float = SETTINGS.matters) -> np.ndarray:
+def inconsistent(mismatch: Mismatch, least: float = SETTINGS.least_mismatch) -> np.ndarray:
     """Blocks in which pose rates and velocities disagree by more than noise and small sensor errors."""
     return (mismatch.excess > least) & (mismatch.share > SETTINGS.over_noise * mismatch.floor)
 
 
 def explains(before: Mismatch, after: Mismatch) -> bool:
     """Whether a mismatch vanishes decisively, and none appears elsewhere."""
-    wrong, gone = inconsistent(before), _gone(before, after)
-    worse = after.excess > SETTINGS.worse * before.excess + SETTINGS.slightly
+    wrong, gone = inconsistent(before), _vanishes(before, after)
+    worse = after.excess > SETTINGS.worse * before.excess + SETTINGS.worse_by
     return bool(np.any(wrong & gone) and not np.any(worse))
 
 
@@ -283,8 +289,8 @@ def contradicts(found: Explained, chosen: Mistake) -> bool:
     It has to explain them wherever it has an influence: the remainder is due to a sensor, and perhaps more.
     """
     before, after = found.before, found.after
-    moved = np.abs(after.share - before.share) > SETTINGS.matters
-    if np.any(inconsistent(before) & moved & ~_gone(before, after)):
+    changed = np.abs(after.share - before.share) > SETTINGS.least_mismatch
+    if np.any(inconsistent(before) & changed & ~_vanishes(before, after)):
         return False
     return _explained(before, after) > possible_mismatch(chosen)
 
@@ -296,10 +302,10 @@ def possible_mismatch(chosen: Mistake) -> float:
 
 def _explained(before: Mismatch, after: Mismatch) -> float:
     """Largest mismatch that has gone."""
-    return float(np.max(before.excess[_gone(before, after)], initial=0.0))
+    return float(np.max(before.excess[_vanishes(before, after)], initial=0.0))
 
 
-def _gone(before: Mismatch, after: Mismatch) -> np.ndarray:
+def _vanishes(before: Mismatch, after: Mismatch) -> np.ndarray:
     """Blocks whose mismatch vanishes, so that pose rates and velocities agree more than they differ.
 
     Otherwise noise scaled away together with its motion would count as explained.
@@ -324,7 +330,7 @@ def best_explanation(
     if not found:
         return None
     least = min(after.total for _, after in found)
-    limit = SETTINGS.as_good * least + SETTINGS.nothing
+    limit = SETTINGS.as_good * least + SETTINGS.negligible
     equals = sorted((m.count, i) for i, (m, after) in enumerate(found) if after.total <= limit)
     order = [found[i] for _, i in equals]
     return Explained(order[0][0], [m for m, _ in order[1:]], before, order[0][1])
@@ -334,25 +340,25 @@ def _pairs(
     kinematics: Kinematics, runs: Sequence[Run], before: Mismatch, distinct: list[Mistake], vehicle: Vehicle
 ) -> list[tuple[Mistake, Mismatch]]:
     """Pairs of mistakes that explain a mismatch, looked for in few samples and confirmed in all."""
-    few = Kinematics(runs, vehicle, most=SETTINGS.few)
-    if not few:
+    few_samples = Kinematics(runs, vehicle, most=SETTINGS.few_samples)
+    if not few_samples:
         return []
-    likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few, runs, m)]
-    pairs = [both(a, b) for a, b in combinations(likely, 2) if a.id != b.id]
-    found = _decisive(few, runs, few.mismatch(runs), pairs)
+    likely = [m for m in distinct if m.id not in UNITS_OF_MOTION or _nearer(few_samples, runs, m)]
+    pairs = [combined(a, b) for a, b in combinations(likely, 2) if a.id != b.id]
+    found = _decisive(few_samples, runs, few_samples.mismatch(runs), pairs)
     wrong = inconsistent(before)
-    sure = _decisive(kinematics, runs, before, [m for m, _ in found])
+    certain = _decisive(kinematics, runs, before, [m for m, _ in found])
     # Of so many pairs one may do something by chance: they have to explain all there is.
-    return [(m, after) for m, after in sure if np.all(_gone(before, after)[wrong])]
+    return [(m, after) for m, after in certain if np.all(_vanishes(before, after)[wrong])]
 
 
 def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bool:
     """Whether pose rates and velocities are nearer in size without a mistake, whatever their directions."""
-    now, then = (_sizes(kinematics, of) for of in (runs, [mistake.undo(run) for run in runs]))
+    now, then = (_size_differences(kinematics, of) for of in (runs, [mistake.undo(run) for run in runs]))
     return bool(np.any(then < now - np.log(1.0 + PLAUSIBLE.ratio)))
 
 
-def _sizes(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
+def _size_differences(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
     """How far pose rates and velocities are apart in size, as a logarithm, for each block."""
     rates = kinematics.rates(runs)
     pose, velocity = (
@@ -368,19 +374,19 @@ def _decisive(
     given, found = kinematics.rates(runs), []
     for mistake in known:
         rates = kinematics.rates([mistake.undo(run) for run in runs])
-        after = kinematics.of_rates(rates)
-        touched = kinematics.changed(given, rates) > SETTINGS.matters
-        if not explains(before, after) or _left_alone(before, after, touched):
+        after = kinematics.mismatch_of(rates)
+        affected = kinematics.changed(given, rates) > SETTINGS.least_mismatch
+        if not explains(before, after) or _remains(before, after, affected):
             continue
-        units = [m for m in mistake.both or (mistake,) if m.id in _UNITS]
+        units = [m for m in mistake.combined or (mistake,) if m.id in _UNITS]
         if all(_shows_unit(kinematics, runs, unit, mistake, (before, after)) for unit in units):
             found.append((mistake, after))
     return found
 
 
-def _left_alone(before: Mismatch, after: Mismatch, touched: Flags) -> bool:
+def _remains(before: Mismatch, after: Mismatch, affected: Flags) -> bool:
     """Whether a mismatch remains where a mistake is involved: then that is not the cause there."""
-    wrong = inconsistent(before) & touched
+    wrong = inconsistent(before) & affected
     return bool(np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse))
 
 
@@ -402,13 +408,13 @@ def _shows_unit(
     before, after = change
     if whole.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
         return False
-    silent = kinematics.mismatch([_silenced(unit, whole, run) for run in runs])
+    silent = kinematics.mismatch([_zeroed(unit, whole, run) for run in runs])
     return _explained(silent, after) > 0.0
 
 
-def _silenced(unit: Mistake, whole: Mistake, run: Run) -> Run:
+def _zeroed(unit: Mistake, whole: Mistake, run: Run) -> Run:
     """A mended run with zeros in the velocities that a unit is about, or else in all its channels."""
-    for part in whole.both or (whole,):
+    for part in whole.combined or (whole,):
         names = changed_channels(part, run) if part is unit else set()
         zeros = {n: np.zeros(len(run.t)) for n in names & set(SPEEDS) or names}
         run = with_channels(part.undo(run), zeros)
@@ -417,17 +423,17 @@ def _silenced(unit: Mistake, whole: Mistake, run: Run) -> Run:
 
 def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake]) -> list[Mistake]:
     """Mistakes that change something that is looked at, each change once."""
-    seen: list[Array] = [_looked_at(kinematics, runs[0])]
+    seen: list[Array] = [_some_samples(kinematics, runs[0])]
     result = []
     for mistake in known:
-        now = _looked_at(kinematics, mistake.undo(runs[0]))
+        now = _some_samples(kinematics, mistake.undo(runs[0]))
         if not any(np.allclose(now, other, rtol=1e-9, atol=1e-12, equal_nan=True) for other in seen):
             seen.append(now)
             result.append(mistake)
     return result
 
 
-def _looked_at(kinematics: Kinematics, run: Run) -> Array:
+def _some_samples(kinematics: Kinematics, run: Run) -> Array:
     """A few samples of the channels that take part."""
     step = max(1, len(run.t) // 50)
     return np.array([run.channels[n][::step] for n in kinematics.channels])
@@ -454,10 +460,10 @@ def through_water(kinematics: Kinematics, before: Mismatch, fits: Sequence[Senso
     if kinematics.rows[0] != "x":
         return None
     water = next((f for f in fits if f.sensor.id == "water"), None)
-    if water is None or before.excess[0] < SETTINGS.water_worth or before.share[0] < 4 * before.floor[0]:
+    if water is None or before.excess[0] < SETTINGS.least_water or before.share[0] < 4 * before.floor[0]:
         return None
-    sure = np.max(np.abs(water.value) / water.error) > SETTINGS.sure
-    if not sure or water.after.excess[0] > before.excess[0] / SETTINGS.decisive:
+    certain = np.max(np.abs(water.value) / water.error) > SETTINGS.certain
+    if not certain or water.after.excess[0] > before.excess[0] / SETTINGS.decisive:
         return None
     return Explained(_in_water(water.value), [], before, water.after)
 
@@ -473,7 +479,7 @@ def _in_water(current: Array) -> Mistake:
         "velocity_through_water",
         "u, v, w are velocities through the water, read as velocities over ground: the water moves with "
         f"{speeds[0]:+.3g} m/s north and {speeds[1]:+.3g} m/s east",
-        turning(lambda channels: mapping.over_ground(channels, speeds)),
+        changed_axes(lambda channels: mapping.over_ground(channels, speeds)),
         edits,
         vehicle="[effects.water_speed_log] describes velocities through the water as they are",
     )
@@ -485,19 +491,19 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
     rates = kinematics.rates(runs)
     known = [s for s in sensors(kinematics) if s.id not in ("water", "sensor_delay", LATE_COURSE)]
     for _ in known:
-        before = kinematics.of_rates(rates)
+        before = kinematics.mismatch_of(rates)
         fits = [f for s in known if (f := fit_sensor(kinematics, runs, rates, s)).plausible]
         best = min(fits, key=lambda f: f.after.total, default=None)
-        if best is None or not _believed(best, before):
+        if best is None or not _is_credible(best, before):
             break
         yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
         rates = _corrected(kinematics, runs, rates, best)
-    left = kinematics.of_rates(rates)
-    parts = zip(kinematics.blocks, left.excess, inconsistent(left, SETTINGS.rest), strict=True)
+    left = kinematics.mismatch_of(rates)
+    parts = zip(kinematics.blocks, left.excess, inconsistent(left, SETTINGS.unexplained), strict=True)
     for block, excess, differs in parts:
         if differs:
             names = ", ".join(kinematics.rows[i] for i in block)
-            yield _still(kinematics, rates, block) or Finding(
+            yield _measures_nothing(kinematics, rates, block) or Finding(
                 id="inconsistent",
                 severity="warning",
                 text=f"the rate of {names} and the velocities disagree by {excess:.0%} of the motion (mean "
@@ -508,39 +514,42 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
 
 def contradicted(kinematics: Kinematics, runs: Sequence[Run]) -> bool:
     """Whether some pose rate and the velocities differ by more than is called consistent."""
-    return bool(np.any(inconsistent(kinematics.mismatch(runs), SETTINGS.rest)))
+    return bool(np.any(inconsistent(kinematics.mismatch(runs), SETTINGS.unexplained)))
 
 
 def without_measurement(kinematics: Kinematics, runs: Sequence[Run]) -> Finding | None:
     """Velocities that stay zero while the pose moves; None if there are none."""
     rates = kinematics.rates(runs)
-    differ = inconsistent(kinematics.of_rates(rates), SETTINGS.rest)
+    differ = inconsistent(kinematics.mismatch_of(rates), SETTINGS.unexplained)
     blocks = (b for b, differs in zip(kinematics.blocks, differ, strict=True) if differs)
-    found = (_still(kinematics, rates, block) for block in blocks)
+    found = (_measures_nothing(kinematics, rates, block) for block in blocks)
     return next((f for f in found if f is not None and f.severity == "mistake"), None)
 
 
-def _still(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | None:
-    """Velocities that stay at nothing while the pose moves, or the other way round; None where both move."""
-    moved, said = (rms(table[:, block]) for table in (rates.pose, rates.velocity))
-    if min(moved, said) > SETTINGS.still * max(moved, said):
+def _measures_nothing(kinematics: Kinematics, rates: Rates, block: list[int]) -> Finding | None:
+    """Velocities that are zero while the pose moves, or the reverse; None where both move."""
+    pose_rms, velocity_rms = (rms(table[:, block]) for table in (rates.pose, rates.velocity))
+    if min(pose_rms, velocity_rms) > SETTINGS.no_signal * max(pose_rms, velocity_rms):
         return None
     pose = [kinematics.rows[i] for i in block]
     velocities = [VELOCITY[POSE.index(n)] for n in pose]
-    dead, remedy = (velocities, "; it is then derived from the pose") if said < moved else (pose, "")
+    silent = velocity_rms < pose_rms
+    dead, remedy = (velocities, "; it is then derived from the pose") if silent else (pose, "")
     verb, unit = "measures" if len(dead) == 1 else "measure", UNITS[velocities[0]]
     return Finding(
         id="measures_nothing",
-        severity="mistake" if said < moved else "warning",
-        text=f"{', '.join(dead)} {verb} nothing: {', '.join(pose)} changes by {moved:.2g} {unit} rms, and "
-        f"{', '.join(velocities)} is {said:.2g} {unit}; put it into `ignore` of the mapping file{remedy}",
-        evidence={"pose": moved, "velocity": said},
+        severity="mistake" if silent else "warning",
+        text=f"{', '.join(dead)} {verb} nothing: {', '.join(pose)} changes by {pose_rms:.2g} {unit} rms, and "
+        f"{', '.join(velocities)} is {velocity_rms:.2g} {unit}; put it into `ignore` of the mapping "
+        f"file{remedy}",
+        evidence={"pose": pose_rms, "velocity": velocity_rms},
     )
 
 
-def _believed(fit: SensorFit, before: Mismatch) -> bool:
-    sure = np.max(np.abs(fit.value) / fit.error) > SETTINGS.sure
-    return bool(before.total > SETTINGS.worth and sure and fit.after.total < SETTINGS.explains * before.total)
+def _is_credible(fit: SensorFit, before: Mismatch) -> bool:
+    certain = np.max(np.abs(fit.value) / fit.error) > SETTINGS.certain
+    better = fit.after.total < SETTINGS.explains * before.total
+    return bool(before.total > SETTINGS.reported and certain and better)
 
 
 def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: SensorFit) -> Rates:
@@ -583,7 +592,7 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
 # --- agreement --------------------------------------------------------------------------------
 def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     """Scale and offset of every velocity against the rate of the pose, in numbers, where they can be told."""
-    names = [n for n in VELOCITY if n in kinematics.channels and _shows(kinematics, n)]
+    names = [n for n in VELOCITY if n in kinematics.channels and _has_pose_rate(kinematics, n)]
     fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
     size = len(names)
     scale, offset = 1.0 + fit.value[:size], fit.value[size:]
@@ -602,7 +611,7 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
         )
 
 
-def _shows(kinematics: Kinematics, velocity: str) -> bool:
+def _has_pose_rate(kinematics: Kinematics, velocity: str) -> bool:
     linear, rows = VELOCITY.index(velocity) < 3, set(kinematics.rows)
     return bool(rows & ({"x", "y", "z"} if linear else {"phi", "theta", "psi"}))
 

@@ -24,8 +24,8 @@ from undertow.model.symbols import FORCE, VELOCITY, Signals
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .dynamics import Dynamics, part_of, rederived
-from .forces import FORCES, StatedForces, without
+from .dynamics import Dynamics, most_active_part, rederived
+from .forces import FORCES, StatedForces, orthogonal_to
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares
 
@@ -39,13 +39,13 @@ class SignSettings:
     share: float = 0.1
     # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
     # and the like do less.
-    matters: float = 0.05
+    least_cost: float = 0.05
     # Gain beyond which, either way, it is no sign of a command that is read wrongly: the stated force is too
     # small to tell from what the model lacks. Units are found by themselves (degrees make 57); good models
     # have shown 0.08 and 3.
     strongest: float = 10.0
     # Standard errors by which logs must contradict a reading: what a model lacks makes a few of them.
-    sure: float = 10.0
+    certain: float = 10.0
     shows: float = 3.0  # the same from which a run takes part in the count
     agreeing: float = 0.8  # share of those runs that must be better without the mistake
     excluded: float = 3.0  # standard errors by which a mistake is excluded beside another one
@@ -58,7 +58,7 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Weight:
+class SignEvidence:
     """How well logs agree with one reading of them."""
 
     # contradiction: (runs,) standard errors, squared, by which gains would have to be negative;
@@ -80,7 +80,7 @@ class Weight:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _MotionInRun:
     """One motion in one run: what nothing else explains of the force, and of that of its commands."""
 
     force: Array
@@ -105,7 +105,7 @@ class _Row:
         return _Fitted(
             free=1.0 - left / whole,
             positive=1.0 - positive**2 / whole,
-            contradiction=errors if more > SETTINGS.matters * whole else 0.0,
+            contradiction=errors if more > SETTINGS.least_cost * whole else 0.0,
             gains={name: (g, e) for name, g, e in gains},
         )
 
@@ -125,77 +125,79 @@ class Signs:
 
     def __init__(self, vehicle: Vehicle, runs: Sequence[Run]) -> None:
         self.vehicle, self._forces = vehicle, StatedForces(vehicle)
-        self.runs = [part_of(run, vehicle, SETTINGS.samples) for run in runs]
+        self.runs = [most_active_part(run, vehicle, SETTINGS.samples) for run in runs]
         rows = [self._rows(run) for run in self.runs]
         known = [{dof: row.fitted() for dof, row in of.items()} for of in rows]
         self._evidence = [{dof for dof, f in of.items() if f.free > SETTINGS.share} for of in known]
         self.given = self._weight(known)
 
-    def without(self, undo: Undo) -> Weight:
+    def without(self, undo: Undo) -> SignEvidence:
         """The weight of the logs with a mistake undone."""
         runs = zip(self.runs, self._evidence, strict=True)
         undone = [self._rows(rederived(run, undo), only=of) for run, of in runs]
         return self._weight([{dof: row.fitted() for dof, row in of.items()} for of in undone])
 
-    def _weight(self, fitted: list[dict[str, _Fitted]]) -> Weight:
+    def _weight(self, fitted: list[dict[str, _Fitted]]) -> SignEvidence:
         seen = [
             [of[dof] for dof in evidence if dof in of]
             for of, evidence in zip(fitted, self._evidence, strict=True)
         ]
         rows = sum(map(len, self._evidence))
-        return Weight(
+        return SignEvidence(
             np.array([sum(f.contradiction for f in of) for of in seen]),
             sum(f.positive for of in seen for f in of) / max(rows, 1),
             rows,
             [{key: g for f in of for key, g in f.gains.items()} for of in seen],
         )
 
-    def _rows(self, run: Run, only: Iterable[str] | None = None) -> dict[str, _Row]:
+    def _rows(self, run: Run, only: Iterable[str] | None = None) -> dict[str, _MotionInRun]:
         table = self._forces.table([run], SETTINGS.samples)
-        names, found = self.vehicle.command_names, dict[str, _Row]()
+        names, found = self.vehicle.command_names, dict[str, _MotionInRun]()
         if table is None:
             return found
         own = len(names) - len(self.vehicle.inputs)
         for i, dof in enumerate(self.vehicle.degrees_of_freedom):
             given = table.commanded[:, i]
             acting = [k for k in range(own) if np.any(given[:, k])]
-            beside = np.column_stack([table.beside, given[:, own:]])
+            beside = np.column_stack([table.others, given[:, own:]])
             enough = len(given) >= 2 * (beside.shape[1] + len(acting))
             if not acting or not enough or (only is not None and dof not in only):
                 continue
-            rest = without(beside, np.column_stack([table.force[:, i], given[:, acting]]))
+            rest = orthogonal_to(beside, np.column_stack([table.force[:, i], given[:, acting]]))
             left = np.linalg.norm(rest, axis=0)
             seen = [k for k in range(len(acting)) if left[1 + k] > 0]
             if seen and left[0] > 0 and np.isfinite(rest).all():
                 keys = tuple((dof, names[acting[k]]) for k in seen)
-                found[dof] = _Row(rest[:, 0], rest[:, [1 + k for k in seen]], keys)
+                found[dof] = _MotionInRun(rest[:, 0], rest[:, [1 + k for k in seen]], keys)
         return found
 
     def possible(self, known: Sequence[Mistake]) -> list[Mistake]:
         """The mistakes that logs contradict least, and all that do as well; none unless that is certain."""
-        if self.given.total <= SETTINGS.sure**2:
+        if self.given.total <= SETTINGS.certain**2:
             return []
-        weighed = [(m, self.without(m.undo)) for m in known]
-        return _remaining(weighed, [w for _, w in weighed if self._better(w)])
+        tested = [(m, self.without(m.undo)) for m in known]
+        return _remaining(tested, [w for _, w in tested if self._agrees_better(w)])
 
     def not_excluded(self, known: Sequence[Mistake]) -> list[Mistake]:
         """The mistakes that logs contradict least; none if the reading as it is does as well."""
-        weighed = [(m, self.without(m.undo)) for m in known]
-        return _remaining(weighed, [w for _, w in weighed], self.given)
+        tested = [(m, self.without(m.undo)) for m in known]
+        return _remaining(tested, [w for _, w in tested], self.given)
 
     def suspected(self, known: Sequence[Mistake]) -> list[Mistake]:
         """The mistakes without which no run contradicts its reading, where the logs are short of certain."""
-        weighed = [(m, self.without(m.undo)) for m in known]
-        whole = [w for _, w in weighed if w.total <= SETTINGS.shows**2 and self._better(w, SETTINGS.shows)]
-        return _remaining(weighed, whole)
+        tested = [(m, self.without(m.undo)) for m in known]
+        whole = [
+            w for _, w in tested if w.total <= SETTINGS.shows**2 and self._agrees_better(w, SETTINGS.shows)
+        ]
+        return _remaining(tested, whole)
 
-    def _better(self, other: Weight, sure: float | None = None) -> bool:
+    def _agrees_better(self, other: SignEvidence, certain: float | None = None) -> bool:
         """Whether logs contradict another reading less, certainly and in nearly all runs that tell."""
         gained = self.given.contradiction - other.contradiction
         clear = np.abs(gained) > SETTINGS.shows**2
         agree = np.sum(gained[clear] > 0) >= SETTINGS.agreeing * np.sum(clear)
         more = other.explained > self.given.explained
-        enough = gained.sum() > (sure or SETTINGS.sure) ** 2 * other.spread
+        enough = gained.sum() > (certain or SETTINGS.certain) ** 2 * other.spread
         return bool(np.any(clear) and agree and more and enough)
 
     def text(self) -> tuple[str, dict[str, float]]:
@@ -205,10 +207,10 @@ class Signs:
         for dof, command in dict.fromkeys(key for of in self.given.gains for key in of):
             values = np.array([of[dof, command] for of in self.given.gains if (dof, command) in of])
             gain, error = _mean(*values.T)
-            sure = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
-            tells = gain < -SETTINGS.shows * error or sure >= SETTINGS.agreeing * len(values)
+            certain = int(np.sum(values[:, 0] < -SETTINGS.shows * values[:, 1]))
+            tells = gain < -SETTINGS.shows * error or certain >= SETTINGS.agreeing * len(values)
             if not _implausible(np.median(np.abs(values[:, 0]))) and tells:
-                runs = f" ({sure} of {len(values)} runs show it)" if len(values) > 1 else ""
+                runs = f" ({certain} of {len(values)} runs show it)" if len(values) > 1 else ""
                 parts.append(f"{dof} answers {command} by {gain:.2g} ± {error:.1g}{runs}")
                 evidence |= {f"{dof}_{command}": gain, f"{dof}_{command}_error": error}
         return f"{', '.join(parts)} of what the vehicle file says", evidence
@@ -220,7 +222,9 @@ def _implausible(gain: Array | np.floating) -> Flags:
 
 
 def _remaining(
-    weighed: Sequence[tuple[Mistake, Weight]], good: Sequence[Weight], given: Weight | None = None
+    tested: Sequence[tuple[Mistake, SignEvidence]],
+    good: Sequence[SignEvidence],
+    given: SignEvidence | None = None,
 ) -> list[Mistake]:
     """Mistakes that do as well as the best of the good ones: the simplest, then what explains most.
 
@@ -233,7 +237,7 @@ def _remaining(
     near = best.total + SETTINGS.excluded**2 * best.spread
     if given is not None and given.total <= near and given.explained >= enough:
         return []
-    left = [(m, w) for m, w in weighed if w.total <= near and w.explained >= enough]
+    left = [(m, w) for m, w in tested if w.total <= near and w.explained >= enough]
     return [m for m, _ in sorted(left, key=lambda pair: (pair[0].count, -pair[1].explained))]
 
 
@@ -266,7 +270,7 @@ def by_signs(
     what does worse gives way to them. None where the signs as they are do as well: then they are not wrong.
     """
     if found is None:
-        possible = signs.possible(known()) if signs.given.total > SETTINGS.sure**2 else []
+        possible = signs.possible(known()) if signs.given.total > SETTINGS.certain**2 else []
     else:
         others = known()
         own = [] if any(m.clause == found.mistake.clause for m in others) else [found.mistake]
@@ -303,7 +307,7 @@ def lost_signs(at: Dynamics) -> Iterator[Finding]:
     """
     vehicle = at.vehicle
     for effect in vehicle.effects:
-        if not isinstance(effect, Wrench) or not (squares := _squares(effect, vehicle)):
+        if not isinstance(effect, Wrench) or not (squares := _unsigned_squares(effect, vehicle)):
             continue
         mended, terms = _with_signs(effect), ", ".join(squares)
         others = tuple(mended if e is effect else e for e in vehicle.effects)
@@ -319,7 +323,7 @@ def lost_signs(at: Dynamics) -> Iterator[Finding]:
             )
 
 
-def _squares(effect: Wrench, vehicle: Vehicle) -> list[str]:
+def _unsigned_squares(effect: Wrench, vehicle: Vehicle) -> list[str]:
     signals = vehicle.composition.signals
     wrench = effect.wrench(signals)
     return [

@@ -38,7 +38,7 @@ class StepSettings:
     most_cuts: int = 60
     # Norm of the residual of the dual problem below which no step satisfies all inequalities.
     infeasible: float = 1e-9
-    # Standard error, in the SI unit, from which the data say nothing of a parameter.
+    # Standard error, in the SI unit, from which the data do not determine a parameter.
     undetermined: float = 1e12
 
 

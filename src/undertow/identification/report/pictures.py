@@ -370,10 +370,7 @@ def residual_against(curves: Sequence[ResidualCurve], names: tuple[str, str] = (
 def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None:
     axis.axhline(0.0, color=INK, linewidth=0.8)
     stated = curve.before
-    for one, name, colour, marker in (
-        (stated, names[0], BEFORE, "o"),
-        (curve.after, names[1], AFTER, "s"),
-    ):
+    for one, name, colour, marker in ((stated, names[0], BEFORE, "o"), (curve.after, names[1], AFTER, "s")):
         if one is not None:
             how = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.0, "capsize": 2}
             axis.errorbar(stated.centre, one.force, yerr=1.96 * one.error, label=plain(name), **how)
@@ -445,7 +442,7 @@ def _rates_column(
             continue
         row = kinematics.rows.index(name)
         block = next(i for i, b in enumerate(kinematics.blocks) if row in b)
-        heading = f"{title}: mismatch {percent(kinematics.of_rates(rates).share[block])}"
+        heading = f"{title}: mismatch {percent(kinematics.mismatch_of(rates).share[block])}"
         _panel(axis, (rates.velocity[:, row], rates.pose[:, row]), name, heading, colour)
 
 
