@@ -129,7 +129,7 @@ def test_a_search_does_not_end_beyond_a_singular_mass_matrix(monkeypatch: pytest
     assert inside.values["Y_rdot"] == pytest.approx(-2.0, abs=0.02)
     assert inside.active == []
     monkeypatch.setattr(PositiveMatrices, "cuts", lambda self, p: [])
-    monkeypatch.setattr(PositiveMatrices, "broken", lambda self, p: False)
+    monkeypatch.setattr(PositiveMatrices, "violated", lambda self, p: False)
     beyond = fit_weak(stated, data, start={"Y_rdot": -6.0})
     assert np.linalg.eigvalsh(_mass(Functions(beyond.vehicle)))[0] < 0
 
@@ -158,7 +158,7 @@ def test_where_nothing_is_violated_nothing_changes(monkeypatch: pytest.MonkeyPat
     model, runs = with_effect(vehicle_of(case), "added_mass_coupling", Y_rdot=0.0), runs_of(case)
     guarded = fit_weak(model, prepare(runs, model))
     monkeypatch.setattr(PositiveMatrices, "cuts", lambda self, p: [])
-    monkeypatch.setattr(PositiveMatrices, "broken", lambda self, p: False)
+    monkeypatch.setattr(PositiveMatrices, "violated", lambda self, p: False)
     plain = fit_weak(model, prepare(runs, model))
     assert np.array_equal(guarded.p, plain.p)
     assert not any("mass" in line for line in guarded.active)

@@ -71,7 +71,7 @@ def test_wrong_damping_and_added_mass_reverse_no_command(name: str, factor: floa
     case = _case(name)
     for parts in (DAMPING, ADDED_MASS):
         vehicle = _wrong_by_two(case, factor, parts)
-        assert Signs(vehicle, runs_of(case)).given.total < SETTINGS.sure**2
+        assert Signs(vehicle, runs_of(case)).given.total < SETTINGS.certain**2
         assert by_signs(Signs(vehicle, runs_of(case)), None, lambda v=vehicle: _known(v)) is None  # type: ignore[misc]
 
 

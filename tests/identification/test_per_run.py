@@ -98,7 +98,7 @@ def test_segments_evaluated_at_once_are_as_one_by_one() -> None:
         Functions(vehicle),
         ["N_r", "X_memu", "T_memory", *(f"{n}@{r}" for n in ("V_N", "V_E") for r in CURRENTS)],
     )
-    p = model.started({f"V_N@{run}": north for run, (north, _) in CURRENTS.items()})
+    p = model.initial_p({f"V_N@{run}": north for run, (north, _) in CURRENTS.items()})
     whole = model.linearise(data, p)
     assert len(whole) == len(data.segments) > len(data.batches)
     for part, segment in zip(whole, data.segments, strict=True):

@@ -26,9 +26,9 @@ from undertow.identification.planning.manoeuvres import (
     Start,
     can_be_planned,
     command_limits,
+    control_effectiveness,
     extremes,
     motion_axes,
-    pushes,
     trim,
 )
 from undertow.identification.planning.picture import command_csv
@@ -38,7 +38,7 @@ from undertow.identification.planning.problem import (
     PlanRequest,
     Plant,
     gram_along,
-    stated,
+    stated_knowledge,
 )
 from undertow.identification.planning.rivals import RivalSpec, rival_models
 from undertow.identification.planning.search import (
@@ -65,11 +65,11 @@ def test_thrusters_with_a_curve_are_planned_with() -> None:
     table["thrusters"] = [{**one, "curve": "t200-16v"} for one in table["thrusters"]]
     vehicle = vehicle_from_table(VehicleTable.model_validate(table), catalogue())
     functions, limits = Functions(vehicle), command_limits(vehicle, {"": 1.0}, ())
-    push = pushes(functions, limits, Start())
-    held = trim(functions, limits, push, Start())
-    assert held.left == {}
+    effectiveness = control_effectiveness(functions, limits, Start())
+    held = trim(functions, limits, effectiveness, Start())
+    assert held.unbalanced == {}
     assert np.all(np.abs(held.commands[4:]) > 0.07)  # out of the dead band of each vertical thruster
-    assert [axis.name for axis in motion_axes(vehicle, push, limits.value)] == list(
+    assert [axis.name for axis in motion_axes(vehicle, effectiveness, limits.value)] == list(
         vehicle.degrees_of_freedom
     )
 
@@ -93,7 +93,7 @@ def test_a_manoeuvre_may_begin_under_way() -> None:
     """What holds the speed at the start does hold it."""
     request = PlanRequest(duration=60.0, rate=5.0, limits=SHIP, speed=1.2, tries=1)
     problem = PlanningProblem(request, load_vehicle("kvlcc2"), [Plant.of(load_vehicle("kvlcc2"))], ())
-    assert problem.trim.left == {}
+    assert problem.trim.unbalanced == {}
     still = problem.manoeuvres([np.tile(problem.trim.commands, (len(problem.t), 1))])[0].y[0]
     np.testing.assert_allclose(still[:, problem.names.index("u")], 1.2, rtol=1e-3)
     assert any(axis.name == "rudder" for family in problem.families for axis in family.axes)
@@ -167,7 +167,7 @@ def test_the_plan_beats_a_constant_step_and_a_weak_multisine(surge_plan: Planned
     vehicle = surge_vehicle()
     plant = Plant.of(vehicle)
     problem = PlanningProblem(SHORT, vehicle, [plant], ())
-    known = stated(vehicle, free_parameters(vehicle))
+    known = stated_knowledge(vehicle, free_parameters(vehicle))
     model = WeakModel(plant.functions, known.free)
     t = problem.t
     by_hand = [np.full((len(t), 1), 1.0), 0.3 * np.sin(2 * np.pi * t / 10.0)[:, None]]
@@ -277,7 +277,7 @@ def auv() -> PlanningProblem:
 def test_the_vehicle_is_held_against_its_weight(auv: PlanningProblem) -> None:
     weight = -auv.vehicle.value_of("B_net").value
     np.testing.assert_allclose(auv.trim.commands, [-weight / 2, 0.0, -weight / 2, 0.0], atol=1e-6)
-    assert not auv.trim.left
+    assert not auv.trim.unbalanced
     (still,) = auv.manoeuvres([np.tile(auv.trim.commands, (len(auv.t), 1))])
     np.testing.assert_allclose(still.y[0], 0.0, atol=1e-6)
 

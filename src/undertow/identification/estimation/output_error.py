@@ -75,8 +75,8 @@ class OutputErrorFit(Fitted):
     # least 1
     dispersion: Array
     iterations: int  # Steps taken in all
-    # (n_free,) one over the standard error that pose rates against velocities leave of a parameter; zero where
-    # they carry no information, and where the pose itself was fitted to
+    # (n_free,) one over the standard error of a parameter from pose rates against velocities; zero where they
+    # carry no information, and where the pose itself was fitted to
     known: Array
 
     @property

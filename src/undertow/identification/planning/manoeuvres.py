@@ -28,17 +28,17 @@ class ManoeuvreSettings:
     astern: float = 0.2  # least size of a reversal, of that ahead
     # Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
     fastest: float = 1.0
-    ends: float = 2.0  # length of the smooth beginning and end, s
-    share_of_ends: float = 0.1  # the most that each may take of the manoeuvre
-    pure: float = 1e-6  # share of a wrench that a pure motion may leave
+    taper: float = 2.0  # length of the smooth beginning and end, s
+    taper_share: float = 0.1  # the most that each may take of the manoeuvre
+    pure: float = 1e-6  # share of a wrench that a pure motion may have in the other degrees of freedom
     # Steps towards the commands that balance the weight: a thruster with a dead band leaves it step by step.
     trim_rounds: int = 60
     balanced: float = 1e-6  # N or N m: less is rounding
     trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
-    # Share of half the range of a command that it may go to either side of rest, below which it goes about
-    # the middle of its range instead: a propeller that cannot reverse has nothing below rest.
+    # Share of half the range of a command that it may go to either side of rest; with less, its mean is the
+    # middle of its range instead: a propeller that cannot reverse has nothing below rest.
     room: float = 0.05
-    under_way: float = 1.0  # m/s at which a command that does nothing at rest is looked at
+    under_way: float = 1.0  # m/s at which a command without effect at rest is examined
 
 
 SETTINGS = ManoeuvreSettings()
@@ -59,7 +59,7 @@ def _steps(share: Array, length: float, q: Array) -> Array:
     return np.asarray((2 * q - 1)[(share * SETTINGS.levels).astype(int)])
 
 
-def _two_levels(share: Array, length: float, q: Array) -> Array:
+def _binary_steps(share: Array, length: float, q: Array) -> Array:
     """Full one way or the other, changing at random instants (pseudo-random binary sequence)."""
     return np.where(q[(share * SETTINGS.bits).astype(int)] > 0.5, 1.0, -1.0)
 
@@ -83,11 +83,11 @@ def _multisine(share: Array, length: float, q: Array) -> Array:
 
 
 def _chirp(share: Array, length: float, q: Array) -> Array:
-    """A sine that becomes quicker, from 1 to 3 periods per length up to at most 1 Hz."""
-    slow = (1 + 2 * q[0]) / length
-    quick = max(slow * (SETTINGS.fastest / slow) ** q[1], slow)
-    growth = np.log(quick / slow) + 1e-9
-    return np.asarray(np.sin(2 * np.pi * slow * length * np.expm1(growth * share) / growth))
+    """A sine of growing frequency, from 1 to 3 periods per length up to at most 1 Hz."""
+    first = (1 + 2 * q[0]) / length
+    last = max(first * (SETTINGS.fastest / first) ** q[1], first)
+    growth = np.log(last / first) + 1e-9
+    return np.asarray(np.sin(2 * np.pi * first * length * np.expm1(growth * share) / growth))
 
 
 def _reversal(share: Array, length: float, q: Array) -> Array:
@@ -117,7 +117,7 @@ def _steady(share: Array, length: float, q: Array) -> Array:
 
 
 STEPS = Shape("steps", SETTINGS.levels, _steps)
-TWO_LEVELS = Shape("random binary steps", SETTINGS.bits, _two_levels)
+BINARY_STEPS = Shape("random binary steps", SETTINGS.bits, _binary_steps)
 DOUBLET = Shape("doublets (3-2-1-1)", 3, _doublet)
 MULTISINE = Shape("multisine", 2 * len(_HARMONICS), _multisine)
 CHIRP = Shape("chirp", 2, _chirp)
@@ -125,7 +125,7 @@ REVERSAL = Shape("reversals", 3, _reversal)
 COAST = Shape("pulses and coast-downs", SETTINGS.pulses + 1, _coast)
 SWEEP = Shape("slow sweeps", 2, _sweep)
 STEADY = Shape("steady", 1, _steady)
-SHAPES = (STEPS, TWO_LEVELS, DOUBLET, MULTISINE, CHIRP, REVERSAL, COAST, SWEEP)
+SHAPES = (STEPS, BINARY_STEPS, DOUBLET, MULTISINE, CHIRP, REVERSAL, COAST, SWEEP)
 
 
 @dataclass(frozen=True)
@@ -149,50 +149,50 @@ class Start:
         return np.array([known.get(n, 0.0) for n in (*vehicle.pose_names, *vehicle.velocity_names)])
 
 
-def pushes(functions: Functions, limits: CommandLimits, start: Start) -> Array:
-    """Force or moment of one unit of every command in every motion, (n, k), at the start.
+def control_effectiveness(functions: Functions, limits: CommandLimits, start: Start) -> Array:
+    """Force or moment per unit of every command in every degree of freedom, (n, k), at the start.
 
     That of a thruster with a curve or a propeller law, and of everything under way, is the mean slope from
     the lowest to the highest command: about zero many do nothing.
     """
-    table, left = allocation(functions.vehicle), _left_over(functions, start)
+    table, net_force = allocation(functions.vehicle), _net_force(functions, start)
     laws = [thruster.law for thruster in functions.vehicle.thrusters]
     for i in range(table.shape[1]):
         if start.speed or (i < len(laws) and laws[i] is not None):
             one = np.arange(len(limits.low)) == i
-            change = left(one * limits.high) - left(one * limits.low)
+            change = net_force(one * limits.high) - net_force(one * limits.low)
             table[:, i] = change / max(limits.high[i] - limits.low[i], 1e-12)
     return table
 
 
-def steering(functions: Functions, limits: CommandLimits, start: Start, push: Array) -> list[Axis]:
+def steering(functions: Functions, limits: CommandLimits, start: Start, effectiveness: Array) -> list[Axis]:
     """Full deflections of commands that do nothing at the start and something under way: rudders, fins."""
     vehicle = functions.vehicle
     if "surge" not in vehicle.degrees_of_freedom or start.speed:
         return []
-    moving = pushes(functions, limits, replace(start, speed=SETTINGS.under_way))
-    new = ~np.any(push != 0, axis=0) & np.any(np.abs(moving) > SETTINGS.balanced, axis=0)
+    moving = control_effectiveness(functions, limits, replace(start, speed=SETTINGS.under_way))
+    new = ~np.any(effectiveness != 0, axis=0) & np.any(np.abs(moving) > SETTINGS.balanced, axis=0)
     units = np.diag(limits.value)
     return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if new[i]]
 
 
-def motion_axes(vehicle: Vehicle, push: Array, room: Array) -> list[Axis]:
-    """For every degree of freedom that the actuators can push alone: the commands that do so."""
-    table = push * room
-    scale = np.max(np.abs(table), axis=1)
+def motion_axes(vehicle: Vehicle, effectiveness: Array, room: Array) -> list[Axis]:
+    """For every degree of freedom that the actuators can excite alone: the commands that do so."""
+    forces = effectiveness * room
+    scale = np.max(np.abs(forces), axis=1)
     found = []
     for i, name in enumerate(vehicle.degrees_of_freedom):
-        pattern = _alone(table, scale, i)
+        pattern = _pure_motion(forces, scale, i)
         if pattern is not None:
             found.append(Axis(name, room * pattern))
     return found
 
 
-def _alone(table: Array, scale: Array, i: int) -> Array | None:
+def _pure_motion(forces: Array, scale: Array, i: int) -> Array | None:
     if not scale[i] > 0:
         return None
     rows = np.flatnonzero(scale > 0)
-    scaled = table[rows] / scale[rows, None]
+    scaled = forces[rows] / scale[rows, None]
     target = (rows == i).astype(float)
     pattern = np.linalg.lstsq(scaled, target, rcond=1e-9)[0]
     if np.linalg.norm(scaled @ pattern - target) > SETTINGS.pure:
@@ -201,9 +201,9 @@ def _alone(table: Array, scale: Array, i: int) -> Array | None:
     return np.asarray(pattern / np.max(np.abs(pattern)))
 
 
-def actuator_axes(vehicle: Vehicle, push: Array, room: Array) -> list[Axis]:
+def actuator_axes(vehicle: Vehicle, effectiveness: Array, room: Array) -> list[Axis]:
     """Every command that acts on a motion of the vehicle, on its own."""
-    moves = np.any(push != 0, axis=0)
+    moves = np.any(effectiveness != 0, axis=0)
     units = np.diag(room)
     return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if moves[i]]
 
@@ -213,19 +213,18 @@ class Trim:
     """Commands that hold a vehicle at rest against weight and buoyancy."""
 
     commands: Array
-    # Force or moment that the actuators cannot balance, by degree of freedom, N or N m.
-    left: dict[str, float]
+    unbalanced: dict[str, float]  # force or moment left by the actuators, by degree of freedom, N or N m
 
 
 def trim(functions: Functions, bounds: CommandLimits, table: Array, start: Start) -> Trim:
-    """Balance heave, roll and pitch, and surge under way, at the start, without pushing any other way."""
+    """Balance heave, roll and pitch, and surge under way, at the start, with no force in other directions."""
     vehicle, limits = functions.vehicle, bounds.value
     balanced = ("heave", "roll", "pitch", *(("surge",) if start.speed else ()))
     rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in balanced]
     commands = np.zeros(len(limits))
     if not rows or not len(limits):
         return Trim(commands, {})
-    left = _left_over(functions, start)
+    net_force = _net_force(functions, start)
     size = np.maximum(np.abs(table) @ limits, 1e-12)
     scaled = table * limits / size[:, None]
     box = tuple(SETTINGS.trim_share * edge / limits for edge in (bounds.low, bounds.high))
@@ -233,17 +232,17 @@ def trim(functions: Functions, bounds: CommandLimits, table: Array, start: Start
     step = 0.5 if start.speed else 1.0
     for _ in range(SETTINGS.trim_rounds):
         wanted = np.zeros(len(table))
-        wanted[rows] = (table @ commands - left(commands))[rows] / size[rows]
+        wanted[rows] = (table @ commands - net_force(commands))[rows] / size[rows]
         commands = commands + step * (lsq_linear(scaled, wanted, box).x * limits - commands)
     commands[np.abs(commands) < 1e-6 * limits] = 0.0
-    rest = left(commands)
+    rest = net_force(commands)
     least = np.maximum(1e-3 * size, SETTINGS.balanced)
     unbalanced = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > least[i]}
     return Trim(commands, unbalanced)
 
 
-def _left_over(functions: Functions, start: Start) -> Callable[[Array], Array]:
-    """Force and moment left over at the start, level, with commands that have been held for long."""
+def _net_force(functions: Functions, start: Start) -> Callable[[Array], Array]:
+    """Net force and moment at the start, level, with commands that have been held for long."""
     f = functions
     u = ca.MX.sym("u", f.u.numel())
     motion = np.concatenate([start.motion(f.vehicle), np.zeros(f.memory.numel())])
@@ -274,25 +273,25 @@ class Family:
         `numbers` (size,) are between 0 and 1, `sizes` (n_axes,) the share of every axis that is kept.
         """
         duration = float(t[-1] + (t[1] - t[0]))
-        waves = [self._wave(t / duration, duration, i, own) for i, own in enumerate(self._split(numbers))]
+        waves = [self._wave(t / duration, duration, i, q) for i, q in enumerate(self._split(numbers))]
         patterns = np.array([a.pattern for a in self.axes]) * np.reshape(sizes, (-1, 1))
-        return np.asarray(ends(t)[:, None] * (np.column_stack(waves) @ patterns))
+        return np.asarray(taper(t)[:, None] * (np.column_stack(waves) @ patterns))
 
     def _split(self, numbers: Array) -> list[Array]:
         return np.split(numbers, np.cumsum([1 + s.size for s in self.shapes])[:-1])
 
-    def _wave(self, share: Array, duration: float, i: int, own: Array) -> Array:
+    def _wave(self, share: Array, duration: float, i: int, q: Array) -> Array:
         count = len(self.axes) if self.in_turn else 1
         local = share * count - (i if self.in_turn else 0)
         inside = (local >= 0) & (local < 1)
-        wave = self.shapes[i].signal(np.clip(local, 0.0, 1.0 - 1e-9), duration / count, own[1:])
-        return np.asarray(np.where(inside, wave, 0.0) * own[0] * self.reach[i])
+        wave = self.shapes[i].signal(np.clip(local, 0.0, 1.0 - 1e-9), duration / count, q[1:])
+        return np.asarray(np.where(inside, wave, 0.0) * q[0] * self.reach[i])
 
 
-def ends(t: Array) -> Array:
+def taper(t: Array) -> Array:
     """From 0 to 1 and back to 0 without a jump, at times from 0."""
     duration = float(t[-1] + (t[1] - t[0]))
-    length = min(SETTINGS.ends, SETTINGS.share_of_ends * duration)
+    length = min(SETTINGS.taper, SETTINGS.taper_share * duration)
     nearest = np.clip(np.minimum(t, t[-1] - t) / length, 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * nearest))
 
@@ -305,9 +304,10 @@ class Design:
     numbers: Array
 
 
-def every_axis(vehicle: Vehicle, push: Array, room: Array) -> tuple[list[Axis], list[Axis]]:
+def every_axis(vehicle: Vehicle, effectiveness: Array, room: Array) -> tuple[list[Axis], list[Axis]]:
     """Axes of motions, and of single actuators where these differ; commands may go `room` (k,) from rest."""
-    motions, actuators = motion_axes(vehicle, push, room), actuator_axes(vehicle, push, room)
+    motions = motion_axes(vehicle, effectiveness, room)
+    actuators = actuator_axes(vehicle, effectiveness, room)
     if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
         return motions, []
     return motions, actuators
@@ -319,11 +319,11 @@ Group = tuple[list[Axis], Array]
 
 def families(bases: Sequence[Group], steered: Sequence[Axis] = ()) -> list[Family]:
     """Every family for axes that come in groups; rudders and fins, `steered`, need a speed ahead."""
-    found = [family for axes, reach in bases if axes for family in _of_group(axes, reach)]
-    return [*found, *(_under_way(*bases[0], steered) if bases and steered else ())]
+    found = [family for axes, reach in bases if axes for family in _families_of(axes, reach)]
+    return [*found, *(_steered_families(*bases[0], steered) if bases and steered else ())]
 
 
-def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
+def _families_of(axes: list[Axis], reach: Array) -> Iterator[Family]:
     names = listed([a.name for a in axes])
     for shape in SHAPES:
         shapes = (shape,) * len(axes)
@@ -335,17 +335,17 @@ def _of_group(axes: list[Axis], reach: Array) -> Iterator[Family]:
     yield from _turning(axes, reach)
 
 
-def _under_way(axes: list[Axis], reach: Array, steered: Sequence[Axis]) -> Iterator[Family]:
+def _steered_families(axes: list[Axis], reach: Array, steered: Sequence[Axis]) -> Iterator[Family]:
     """Rudders and fins in every shape, with the vehicle going ahead at one speed or at several."""
     ahead = next((i for i, a in enumerate(axes) if a.name == "surge"), None)
     if ahead is None:
         return
     both, reaches = (axes[ahead], *steered), np.append(reach[ahead], np.ones(len(steered)))
     names = listed([a.name for a in steered])
-    for speed, how in ((STEADY, "steady surge"), (STEPS, "steps of surge")):
+    for speed, surge in ((STEADY, "steady surge"), (STEPS, "steps of surge")):
         for shape in (*SHAPES, STEADY):
             shapes = (speed, *(shape,) * len(steered))
-            yield Family(f"{how} with {shape.name} of {names}", both, shapes, reaches)
+            yield Family(f"{surge} with {shape.name} of {names}", both, shapes, reaches)
 
 
 def _turning(axes: list[Axis], reach: Array) -> Iterator[Family]:
@@ -394,10 +394,10 @@ class CommandLimits:
         """Largest magnitudes, (k,)."""
         return np.maximum(self.high, -self.low)
 
-    def about(self, rest: Array) -> tuple[Array, Array]:
-        """What commands go about, seen from rest, and how far to either side of it, (k,) each.
+    def bias_and_room(self, rest: Array) -> tuple[Array, Array]:
+        """Mean of the commands, seen from rest, and how far they may go to either side of it, (k,) each.
 
-        That is rest itself, or the middle of the range where rest is at its edge.
+        The mean is rest itself, or the middle of the range where rest is at its edge.
         """
         room, half = np.minimum(self.high - rest, rest - self.low), (self.high - self.low) / 2
         edge = room < SETTINGS.room * half
@@ -445,7 +445,7 @@ def limit_text(bounds: Bounds) -> str:
 
 
 def _limit(name: str, vehicle: Vehicle, given: Limit | None, runs: Sequence[Run]) -> tuple[Bounds, str]:
-    """The range of a command, and what says so."""
+    """The range of a command, and its source."""
     stated, end = vehicle.command_limits.get(name), vehicle.largest_commands.get(name)
     lowest = vehicle.lowest_commands.get(name, -np.inf)
     if given is not None:
@@ -480,14 +480,14 @@ def _span(command: Array) -> Bounds:
     return float(np.nanmin(command, initial=0.0)), float(np.nanmax(command, initial=0.0))
 
 
-def exceeded(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
-    """The limit that a motion uses most, and by what factor (at most 1 is allowed); y is (n, 2n)."""
+def nearest_limit(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
+    """The limit that a motion comes nearest to, and its ratio to it (at most 1 is allowed); y is (n, 2n)."""
     if not np.isfinite(y).all():
         return "speed", float("inf")
     bounds = limits.as_dict()
-    strains = {what: size / bounds[what] for what, size in extremes(y, names).items()}
-    worst = max(strains, key=lambda what: strains[what], default="speed")
-    return worst, strains.get(worst, 0.0)
+    ratios = {what: size / bounds[what] for what, size in extremes(y, names).items()}
+    nearest = max(ratios, key=lambda what: ratios[what], default="speed")
+    return nearest, ratios.get(nearest, 0.0)
 
 
 def extremes(y: Array, names: Sequence[str]) -> dict[str, float]:

@@ -27,7 +27,7 @@ _GROUPS = (
 )
 _PANEL, _BAR, _BELOW = 1.5, 0.36, 1.1
 # Bars end here, as a share of the value: beyond it nothing is known.
-_MOST = 10.0
+_LONGEST_BAR = 10.0
 
 
 def plan_picture(planned: Planned) -> Figure:
@@ -67,7 +67,7 @@ def _draw_commands(axis: Any, planned: Planned, unit: str) -> None:
 
 
 def _draw_lines(axis: Any, t: Array, columns: Array, names: Sequence[str], label: str) -> None:
-    for i, name in enumerate(_together(columns, names)):
+    for i, name in enumerate(_coincident_names(columns, names)):
         if not name:
             continue
         look_of = {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _DASHES[i % len(_DASHES)]}
@@ -81,7 +81,7 @@ def _draw_lines(axis: Any, t: Array, columns: Array, names: Sequence[str], label
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, handlelength=2.4)
 
 
-def _together(columns: Array, names: Sequence[str]) -> list[str]:
+def _coincident_names(columns: Array, names: Sequence[str]) -> list[str]:
     """Names of the lines; those that lie on each other are named once, the later ones are empty."""
     same = [np.all(np.isclose(columns, columns[:, [i]], atol=1e-9), axis=0) for i in range(len(names))]
     first = [int(np.argmax(row)) for row in same]
@@ -107,7 +107,7 @@ def _draw_errors(axis: Any, plan: Plan) -> None:
             )
     axis.set_yticks(rows, [plain(known.name) for known in plan.parameters])
     axis.set_xscale("log")
-    axis.set_xlim(0.5 * min(_share(k, k.error_after) for k in plan.parameters), 3 * _MOST)
+    axis.set_xlim(0.5 * min(_share(k, k.error_after) for k in plan.parameters), 3 * _LONGEST_BAR)
     axis.xaxis.set_major_formatter(lambda value, _: _percent(value))
     axis.set_xlabel("standard error as a share of the value (expected, if the model is right)")
     _finish(axis)
@@ -115,7 +115,7 @@ def _draw_errors(axis: Any, plan: Plan) -> None:
 
 def _share(known: PlannedParameter, error: float | None) -> float:
     size = abs(known.value) or 1.0
-    return _MOST if error is None else min(error / size, _MOST)
+    return _LONGEST_BAR if error is None else min(error / size, _LONGEST_BAR)
 
 
 def _percent(share: float) -> str:

@@ -34,14 +34,14 @@ from .manoeuvres import (
     MotionLimits,
     Start,
     command_limits,
-    ends,
+    control_effectiveness,
     every_axis,
-    exceeded,
     extremes,
     families,
+    nearest_limit,
     planned_noise,
-    pushes,
     steering,
+    taper,
     trim,
 )
 
@@ -50,9 +50,9 @@ from .manoeuvres import (
 class PlanningSettings:
     """Settings of planning."""
 
-    vague: float = 100.0  # a parameter of which nothing is known may be off by this many times its size
-    unknown: float = 0.3  # it counts as unknown as long as its standard error is this share of that
-    wide: float = 1.5  # errors so many times wider than by noise alone are worth a remark
+    unknown_sigma: float = 100.0  # prior of a parameter of which nothing is known, in units of its size
+    unknown: float = 0.3  # it counts as unknown as long as its standard error is this share of that prior
+    remarked: float = 1.5  # factor by which errors exceed those of noise alone from which on a remark says so
     # From this factor on fitted values make up for what is missing: those of the vehicle file are better.
     misfit: float = 5.0
     # Shares of the excitation, and deflections of an axis, that are tried, the largest first.
@@ -60,20 +60,20 @@ class PlanningSettings:
     reaches: tuple[float, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03, 0.02, 0.01)
     # How often axes that make a motion too large are reduced, to which share of the limit, how far at once.
     corrections: int = 4
-    inside: float = 0.95
-    least: float = 0.2
-    held: float = 12.0  # an axis is deflected for so long to see where it leads, s
+    limit_share: float = 0.95
+    least_share: float = 0.2
+    held: float = 12.0  # how long an axis is deflected to predict the motion that it causes, s
     # Length, s, and samples per second of a manoeuvre without logs to take them from, and the longest that is
     # taken from logs.
     duration: float = 60.0
     rate: float = 20.0
     longest: float = 1200.0
-    enough_samples: int = 4000  # above which samples follow each other more slowly than those of the logs
+    enough_samples: int = 4000  # above which the rate is lower than that of the logs
     fewest_samples: int = 50
     most_samples: int = 50_000
-    beginning: int = 20  # one part of so many of a log is its beginning
-    moving: float = 0.5  # share of its usual speed above which a vehicle is under way there
-    loose: float = 0.3  # error of a value without a stated one, as a share of it, for the depth
+    beginning: int = 20  # one of this many equal parts of a log is its beginning
+    moving: float = 0.5  # share of its rms speed above which a vehicle is under way there
+    assumed_error: float = 0.3  # error of a value without a stated one, as a share of it, for the depth
     step: float = 1e-2  # of the differences of the depth, as a share of a parameter's size
     # Work of a search by default, in seconds of a usual machine: the number of manoeuvres follows from the
     # sizes alone, so that it is the same everywhere.
@@ -95,13 +95,12 @@ class Knowledge:
     free: tuple[str, ...]  # parameters to be determined
     prior: Array  # (k, k) information of the stated standard deviations
     logs: Array  # (k, k) information in the logs, as far as what the model leaves in them allows
-    # (k,) how many times wider errors were on the logs than noise alone would make them, at least 1.
-    spread: Array
+    inflation: Array  # (k,) factor by which errors on the logs exceed those of noise alone, at least 1
 
     @property
     def misfit(self) -> float:
-        """Median of the spread."""
-        return float(np.median(self.spread)) if len(self.spread) else 1.0
+        """Median of the inflation."""
+        return float(np.median(self.inflation)) if len(self.inflation) else 1.0
 
     @cached_property
     def scale(self) -> Array:
@@ -112,16 +111,16 @@ class Knowledge:
     @cached_property
     def now(self) -> Array:
         """Information before the manoeuvre, (k, k), finite also where nothing is known."""
-        return self.prior + self.logs + np.diag((SETTINGS.vague * self.scale) ** -2.0)
+        return self.prior + self.logs + np.diag((SETTINGS.unknown_sigma * self.scale) ** -2.0)
 
     def after(self, gram: Array) -> Array:
         """Information after a manoeuvre with the information `gram` by noise alone, shape (k, k)."""
-        return np.asarray(self.now + gram / np.outer(self.spread, self.spread))
+        return np.asarray(self.now + gram / np.outer(self.inflation, self.inflation))
 
     def errors(self, information: Array) -> Array:
         """Standard errors, shape (k,); inf for a parameter that is not known."""
         found = np.sqrt(np.diag(inverse_of(information)))
-        return np.where(found < SETTINGS.unknown * SETTINGS.vague * self.scale, found, np.inf)
+        return np.where(found < SETTINGS.unknown * SETTINGS.unknown_sigma * self.scale, found, np.inf)
 
 
 def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Knowledge:
@@ -131,23 +130,23 @@ def knowledge(vehicle: Vehicle, free: Sequence[str], runs: Sequence[Run]) -> Kno
     a missing effect.
     """
     if not runs:
-        return stated(vehicle, free)
-    known = knowledge_of(fit_weak(vehicle, prepare(runs, vehicle), free), runs)
+        return stated_knowledge(vehicle, free)
+    known = knowledge_from_fit(fit_weak(vehicle, prepare(runs, vehicle), free), runs)
     return replace(known, vehicle=vehicle) if known.misfit >= SETTINGS.misfit else known
 
 
-def stated(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:
-    """What the vehicle file says."""
-    nothing = np.zeros((len(free), len(free)))
-    return Knowledge(vehicle, tuple(free), _prior(vehicle, free), nothing, np.ones(len(free)))
+def stated_knowledge(vehicle: Vehicle, free: Sequence[str]) -> Knowledge:
+    """Knowledge from the vehicle file alone."""
+    no_logs = np.zeros((len(free), len(free)))
+    return Knowledge(vehicle, tuple(free), _prior(vehicle, free), no_logs, np.ones(len(free)))
 
 
-def knowledge_of(fit: WeakFit, runs: Sequence[Run]) -> Knowledge:
+def knowledge_from_fit(fit: WeakFit, runs: Sequence[Run]) -> Knowledge:
     """Knowledge from a fit to logs, with the priors of the vehicle file unless they come from that fit."""
-    logs, spread = _information_of_logs(fit)
+    logs, inflation = _information_of_logs(fit)
     before = fit.model.functions.vehicle
     new = [n if not _fitted_to(before, n, runs) else None for n in fit.model.free]
-    return Knowledge(fit.vehicle, fit.model.free, _prior(before, new), logs, spread)
+    return Knowledge(fit.vehicle, fit.model.free, _prior(before, new), logs, inflation)
 
 
 def _prior(vehicle: Vehicle, names: Sequence[str | None]) -> Array:
@@ -164,14 +163,14 @@ def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
     if twice:
         names = ", ".join(twice)
         remarks.append(f"stated errors of {names} come from a fit to these logs and are not counted twice")
-    widest = float(np.max(known.spread, initial=1.0))
+    worst = float(np.max(known.inflation, initial=1.0))
     if known.misfit >= SETTINGS.misfit:
         remarks.append(
             "the model fits these logs too poorly to estimate from them: planned with the values in its file"
         )
-    if widest > SETTINGS.wide:
+    if worst > SETTINGS.remarked:
         remarks.append(
-            f"the model leaves a residual above the noise on these logs: errors are up to {widest:.2g} times "
+            f"the model leaves a residual above the noise on these logs: errors are up to {worst:.2g} times "
             "as large as from noise alone, now and after the manoeuvre; undertow diagnose looks for what is "
             "missing"
         )
@@ -179,7 +178,7 @@ def remarks_on(known: Knowledge, runs: Sequence[Run]) -> list[str]:
 
 
 def _fitted_to(vehicle: Vehicle, name: str, runs: Sequence[Run]) -> bool:
-    """Whether the file says that a value comes from a fit to one of these logs."""
+    """Whether a value in the vehicle file comes from a fit to one of these logs."""
     source, _, _ = vehicle.value_of(name).source.partition("; before: ")
     return source.startswith("fit to ") and any(run.name in source for run in runs)
 
@@ -192,8 +191,8 @@ def _information_of_logs(fit: WeakFit) -> tuple[Array, Array]:
     parts = fit.model.linearise(fit.data, fit.p)
     slopes = whitened(parts, fit.model.whitening(fit.data, fit.p)).J
     by_noise = np.diag(inverse_of(slopes.T @ slopes + weak_prior))
-    spread = np.sqrt(np.diag(inverse_of(logs + weak_prior)) / np.maximum(by_noise, 1e-300))
-    return logs, np.maximum(spread, 1.0)
+    inflation = np.sqrt(np.diag(inverse_of(logs + weak_prior)) / np.maximum(by_noise, 1e-300))
+    return logs, np.maximum(inflation, 1.0)
 
 
 def gram_along(model: WeakModel, data: WeakData, p: Array) -> Array | None:
@@ -232,8 +231,8 @@ class Plant:
         values = np.array(functions.values(), dtype=float)
         return cls(functions, values, Predictor(functions, compiled=compiled))
 
-    def reports(self, t: Array, u: Array, motion: Array, p: Array | None = None) -> Array:
-        """What the sensors report without noise, (b, n, 2n_dof), for commands u of shape (b, n, k).
+    def outputs(self, t: Array, u: Array, motion: Array, p: Array | None = None) -> Array:
+        """Outputs of the sensors without noise, (b, n, 2n_dof), for commands u of shape (b, n, k).
 
         The first commands have been held for long; `motion` (2n_dof,) is the pose and velocity at the start.
         NaN where the simulation diverges.
@@ -254,13 +253,13 @@ class Manoeuvre:
     t: Array  # (n,) time, s
     u: Array  # (n, k) commands
     y: tuple[Array, ...]  # reported pose and velocity, (n, 2n_dof) for each model
-    strain: float  # largest motion over its limit; at most 1 where the manoeuvre is safe
+    limit_ratio: float  # largest motion over its limit; at most 1 where the manoeuvre is safe
     limit: str  # which limit that is
 
     @property
     def safe(self) -> bool:
         """Whether every predicted motion stays within the limits."""
-        return self.strain <= 1.0
+        return self.limit_ratio <= 1.0
 
 
 @dataclass(frozen=True)
@@ -278,19 +277,19 @@ class PlanRequest:
     depth: float | None = None  # depth at the start, m; by default that of the logs, or 0
     speed: float | None = None  # speed ahead at the start, m/s; by default that of the logs there, or 0
     seed: int = 0
-    tries: int | None = None  # manoeuvres to be judged; by default as many as take some ten seconds
+    tries: int | None = None  # manoeuvres to be simulated; by default as many as take some ten seconds
     compiled: bool | None = None  # as for `Simulator`
     report: Progress = lambda done, words: None  # receives the share that is done, and what is being done
 
     def sampling(self, runs: Sequence[Run]) -> tuple[float, float]:
         """Length, s, and samples per second; what is not stated is that of the logs, two digits of it."""
-        usual, quick = SETTINGS.duration, SETTINGS.rate
+        duration, rate = SETTINGS.duration, SETTINGS.rate
         if runs:
-            usual = min(float(np.median([r.t[-1] - r.t[0] for r in runs])), SETTINGS.longest)
-            quick = min(1.0 / float(np.median([r.step for r in runs])), quick)
-        duration = float(f"{usual:.2g}") if self.duration is None else self.duration
-        quick = min(quick, SETTINGS.enough_samples / max(duration, 1e-9)) if runs else quick
-        rate = float(f"{quick:.2g}") if self.rate is None else self.rate
+            duration = min(float(np.median([r.t[-1] - r.t[0] for r in runs])), SETTINGS.longest)
+            rate = min(1.0 / float(np.median([r.step for r in runs])), rate)
+        duration = float(f"{duration:.2g}") if self.duration is None else self.duration
+        rate = min(rate, SETTINGS.enough_samples / max(duration, 1e-9)) if runs else rate
+        rate = float(f"{rate:.2g}") if self.rate is None else self.rate
         _refuse_samples(duration, rate)
         return duration, rate
 
@@ -339,10 +338,10 @@ class PlanningProblem:
             )
         self.noise = planned_noise(vehicle, request.noise, runs)
         start, functions = Start(self.depth, self.speed), plants[0].functions
-        self.push = pushes(functions, self.limits, start)
-        self.trim = trim(functions, self.limits, self.push, start)
-        self.steered = steering(functions, self.limits, start, self.push)
-        self.bias, self._room = self.limits.about(self.trim.commands)
+        self.effectiveness = control_effectiveness(functions, self.limits, start)
+        self.trim = trim(functions, self.limits, self.effectiveness, start)
+        self.steered = steering(functions, self.limits, start, self.effectiveness)
+        self.bias, self._room = self.limits.bias_and_room(self.trim.commands)
         self.t = np.arange(round(self.duration * self.rate)) / self.rate
         self.names = (*vehicle.pose_names, *vehicle.velocity_names)
         self._start = start.motion(vehicle)
@@ -363,25 +362,25 @@ class PlanningProblem:
         ahead = [r.channels["u"] for r in self.runs if r.has("u")]
         if not ahead:
             return 0.0
-        begins = float(np.median([np.nanmedian(u[: max(len(u) // SETTINGS.beginning, 1)]) for u in ahead]))
-        usual = float(np.sqrt(np.nanmean(np.concatenate(ahead) ** 2)))
-        return begins if abs(begins) > SETTINGS.moving * usual else 0.0
+        start = float(np.median([np.nanmedian(u[: max(len(u) // SETTINGS.beginning, 1)]) for u in ahead]))
+        rms = float(np.sqrt(np.nanmean(np.concatenate(ahead) ** 2)))
+        return start if abs(start) > SETTINGS.moving * rms else 0.0
 
     def without_drift(self) -> PlanningProblem:
         """The same without limits on depth and distance."""
-        wide = copy(self)
-        wide.motion = replace(self.motion, depth=np.inf, distance=np.inf)
-        return wide
+        without = copy(self)
+        without.motion = replace(self.motion, depth=np.inf, distance=np.inf)
+        return without
 
     @cached_property
     def families(self) -> list[Family]:
         """All manoeuvres that can be carried out."""
-        motions, actuators = every_axis(self.vehicle, self.push, self._room)
+        motions, actuators = every_axis(self.vehicle, self.effectiveness, self._room)
         groups = [(axes, self.reach(axes)) for axes in (motions, actuators) if axes]
         return families(groups, self.steered)
 
     def tries(self, columns: int, calls: int = 1) -> int:
-        """How many manoeuvres to judge, when each takes so many sensitivities in so many calls."""
+        """How many manoeuvres to simulate, when each takes so many sensitivities in so many calls."""
         if self.request.tries is not None:
             return self.request.tries
         states, s = 2 * len(self.vehicle.degrees_of_freedom), SETTINGS
@@ -389,12 +388,12 @@ class PlanningProblem:
         return int(np.clip(s.seconds / seconds, s.fewest_tries, s.most_tries))
 
     def refuse_unsafe(self, gentlest: Manoeuvre | None) -> None:
-        """Say that no manoeuvre stays within the limits, and which one the gentlest exceeds."""
+        """Raise an error: no manoeuvre stays within the limits, and which one the gentlest exceeds."""
         name = "speed" if gentlest is None else gentlest.limit
         option = {"depth": "--max-depth-change"}.get(name, f"--max-{name}")
         why = "".join(
             f"; the actuators cannot balance {value:.3g} N (or N m) in {dof} at the start"
-            for dof, value in self.trim.left.items()
+            for dof, value in self.trim.unbalanced.items()
         )
         raise UndertowError(
             f"no manoeuvre of {self.duration:g} s stays within the limits; {option} is exceeded "
@@ -410,16 +409,16 @@ class PlanningProblem:
         at_rest, low, high = self.trim.commands, self.limits.low, self.limits.high
         room = np.where(excitation > 0, high - at_rest, at_rest - low)
         held = (self.bias != 0.0) & (excitation * self.bias < 0.0)
-        strain = np.max(np.abs(excitation) / np.where(held, np.inf, np.maximum(room, 1e-300)), initial=1.0)
-        return np.clip(at_rest + excitation / strain, low, high)
+        ratio = np.max(np.abs(excitation) / np.where(held, np.inf, np.maximum(room, 1e-300)), initial=1.0)
+        return np.clip(at_rest + excitation / ratio, low, high)
 
     def excitation(self, design: Design, sizes: Array) -> Array:
-        """Commands of a manoeuvre beside the trim, about what they go about, (n, k)."""
-        about = np.min(sizes) * ends(self.t)[:, None] * self.about
-        return about + design.family.excitation(self.t, design.numbers, sizes)
+        """Commands of a manoeuvre beyond the trim, with their bias, (n, k)."""
+        bias = np.min(sizes) * taper(self.t)[:, None] * self.safe_bias
+        return bias + design.family.excitation(self.t, design.numbers, sizes)
 
     def simulated(self, design: Design) -> Manoeuvre:
-        """The manoeuvre, as large as the limits of the motion allow: first the axes to blame give way."""
+        """The manoeuvre, reduced until the motion is within its limits: first on the axes that cause it."""
         family, s = design.family, SETTINGS
         sizes = np.ones(len(family.axes))
         for _ in range(s.corrections):
@@ -427,41 +426,41 @@ class PlanningProblem:
             manoeuvre = self.manoeuvres([u])[0]
             if manoeuvre.safe:
                 return manoeuvre
-            # Most motions grow about as their cause; one that runs away says little about its cause.
-            strain = manoeuvre.strain
-            share = max(s.inside / strain, s.least) if np.isfinite(strain) else s.least
-            to_blame = np.array([_drives(axis.name, manoeuvre.limit) for axis in family.axes])
-            sizes = np.where(to_blame, share * sizes, sizes)
+            # Most motions grow about in proportion to their cause, but not one that diverges.
+            ratio = manoeuvre.limit_ratio
+            share = max(s.limit_share / ratio, s.least_share) if np.isfinite(ratio) else s.least_share
+            causes = np.array([_drives(axis.name, manoeuvre.limit) for axis in family.axes])
+            sizes = np.where(causes, share * sizes, sizes)
         excitation = self.excitation(design, sizes)
         smaller = self.manoeuvres([self.commands(share * excitation) for share in s.shares])
         return next((manoeuvre for manoeuvre in smaller if manoeuvre.safe), smaller[-1])
 
     def manoeuvres(self, commands: Sequence[Array]) -> list[Manoeuvre]:
-        """What follows from commands of shape (n, k), whatever they are."""
+        """The manoeuvres that commands of shape (n, k) make, safe or not."""
         motions = [self.predicted(plant, self.t, commands) for plant in self.plants]
-        return [self._judged(u, tuple(y[i] for y in motions)) for i, u in enumerate(commands)]
+        return [self._checked(u, tuple(y[i] for y in motions)) for i, u in enumerate(commands)]
 
-    def _judged(self, u: Array, y: tuple[Array, ...]) -> Manoeuvre:
-        worst = max((exceeded(one, self.names, self.motion) for one in y), key=lambda pair: pair[1])
+    def _checked(self, u: Array, y: tuple[Array, ...]) -> Manoeuvre:
+        worst = max((nearest_limit(one, self.names, self.motion) for one in y), key=lambda pair: pair[1])
         return Manoeuvre(self.t, u, y, worst[1], worst[0])
 
     def predicted(self, plant: Plant, t: Array, commands: Sequence[Array], p: Array | None = None) -> Array:
-        """What the sensors report without noise, from rest, shape (b, n, 2n_dof); NaN where it diverges."""
-        return plant.reports(t, np.stack(commands), self._start, p)
+        """Outputs of the sensors without noise, from the start, (b, n, 2n_dof); NaN where it diverges."""
+        return plant.outputs(t, np.stack(commands), self._start, p)
 
     # --- the log to come ----------------------------------------------------------------------
     def data(self, manoeuvre: Manoeuvre, model: int) -> WeakData:
-        """A manoeuvre as the estimators see its log; noise is what the channels will have."""
-        (segment,) = self._still.segments
+        """A manoeuvre as the log that the estimators get; noise is what the channels will have."""
+        (segment,) = self._log_at_rest.segments
         u, measured = manoeuvre.u, np.where(np.isfinite(self.noise.sigma), manoeuvre.y[model], 0.0)
         segments = (replace(segment, measured=measured, u=u),)
-        return replace(self._still, runs=(self._run(u, measured),), segments=segments)
+        return replace(self._log_at_rest, runs=(self._run(u, measured),), segments=segments)
 
     @cached_property
-    def _still(self) -> WeakData:
-        """A log of the same length in which nothing happens: its preparation is always the same."""
-        nothing = np.zeros((len(self.t), len(self.limits.value))), np.zeros((len(self.t), len(self.names)))
-        return prepare([self._run(*nothing)], self.plants[0].functions.vehicle, sigma=self.noise.finite)
+    def _log_at_rest(self) -> WeakData:
+        """A log of the same length at rest; prepared once for all manoeuvres."""
+        rest = np.zeros((len(self.t), len(self.limits.value))), np.zeros((len(self.t), len(self.names)))
+        return prepare([self._run(*rest)], self.plants[0].functions.vehicle, sigma=self.noise.finite)
 
     def _run(self, u: Array, measured: Array) -> Run:
         columns = {self.names[i]: measured[:, i] for i in np.flatnonzero(np.isfinite(self.noise.sigma))}
@@ -471,25 +470,25 @@ class PlanningProblem:
     # --- reach --------------------------------------------------------------------------------
     def reach(self, axes: Sequence[Axis]) -> Array:
         """Largest deflection of every axis, held for a while, that keeps speed, rate and tilt in bounds."""
-        return np.array([self._reach(axis.pattern, self.about) for axis in axes])
+        return np.array([self._reach(axis.pattern, self.safe_bias) for axis in axes])
 
     @cached_property
-    def about(self) -> Array:
-        """What commands go about, (k,): as much of the bias as keeps the motion in bounds."""
+    def safe_bias(self) -> Array:
+        """Mean of the commands, (k,): as much of the bias as keeps the motion in bounds."""
         return self.bias * self._reach(self.bias, 0.0 * self.bias) if np.any(self.bias) else self.bias
 
-    def _reach(self, pattern: Array, about: Array) -> float:
-        """Largest share of a deflection either way, held about some commands, that is in bounds."""
+    def _reach(self, pattern: Array, bias: Array) -> float:
+        """Largest share of a deflection either way, held around a bias, that is in bounds."""
         t = self.t[: max(int(np.searchsorted(self.t, SETTINGS.held)), 3)]
-        bounds, tried = self.without_drift().motion, SETTINGS.reaches
-        held = [min(2 * share, 1.0) * about + sign * share * pattern for share in tried for sign in (1, -1)]
+        bounds, shares = self.without_drift().motion, SETTINGS.reaches
+        held = [min(2 * share, 1.0) * bias + sign * share * pattern for share in shares for sign in (1, -1)]
         u = [np.tile(self.commands(one[None]), (len(t), 1)) for one in held]
-        strain = np.zeros(len(u))
+        ratios = np.zeros(len(u))
         for plant in self.plants:
             y = self.predicted(plant, t, u)
-            strain = np.maximum(strain, [exceeded(one, self.names, bounds)[1] for one in y])
-        fits = strain.reshape(-1, 2).max(axis=1) <= 1.0
-        return float(tried[np.argmax(fits)] if fits.any() else tried[-1])
+            ratios = np.maximum(ratios, [nearest_limit(one, self.names, bounds)[1] for one in y])
+        safe = ratios.reshape(-1, 2).max(axis=1) <= 1.0
+        return float(shares[np.argmax(safe)] if safe.any() else shares[-1])
 
 
 def _drives(axis: str, limit: str) -> bool:
@@ -497,7 +496,7 @@ def _drives(axis: str, limit: str) -> bool:
     return axis not in DOFS or axis in _CAUSES[limit]
 
 
-# --- how far off the predicted depth may be -------------------------------------------------------
+# --- uncertainty of the predicted depth -----------------------------------------------------------
 def depth_spread(
     problem: PlanningProblem, plant: Plant, known: Knowledge, manoeuvre: Manoeuvre
 ) -> float | None:
@@ -508,27 +507,27 @@ def depth_spread(
     if "z" not in problem.names or not known.free:
         return None
     information = known.prior + known.logs
-    silent = np.diag(information) <= 0
-    covariance = inverse_of(information + np.diag(silent * (SETTINGS.loose * known.scale) ** -2.0))
-    table = np.array(
+    without_error = np.diag(information) <= 0
+    assumed = np.diag(without_error * (SETTINGS.assumed_error * known.scale) ** -2.0)
+    slopes = np.array(
         [_slope(problem, plant, manoeuvre, n, s) for n, s in zip(known.free, known.scale, strict=True)]
     )
-    variance = np.einsum("it,ij,jt->t", table, covariance, table)
+    variance = np.einsum("it,ij,jt->t", slopes, inverse_of(information + assumed), slopes)
     return float(2 * np.sqrt(np.max(np.nan_to_num(variance, nan=0.0))))
 
 
 def _slope(problem: PlanningProblem, plant: Plant, manoeuvre: Manoeuvre, name: str, scale: float) -> Array:
     """Derivative of the depth along a manoeuvre, shape (n,)."""
     place, column = plant.functions.parameter_names.index(name), problem.names.index("z")
-    ends = []
+    depths = []
     for sign in (1.0, -1.0):
         p = plant.p.copy()
         p[place] += sign * SETTINGS.step * scale
-        ends.append(problem.predicted(plant, manoeuvre.t, [manoeuvre.u], p)[0][:, column])
-    return np.asarray((ends[0] - ends[1]) / (2 * SETTINGS.step * scale))
+        depths.append(problem.predicted(plant, manoeuvre.t, [manoeuvre.u], p)[0][:, column])
+    return np.asarray((depths[0] - depths[1]) / (2 * SETTINGS.step * scale))
 
 
-# --- what a plan says, as it is written to JSON ---------------------------------------------------
+# --- the result of a plan, as it is written to JSON -----------------------------------------------
 SCHEMA = "undertow/plan/1"
 Goal = Literal["parameters", "separate"]
 
@@ -632,14 +631,14 @@ class Plan(ResultTable):
     long_logs: LongLogs | None = None
 
 
-# A standard error above this share of the value is nothing to build on.
-_BADLY = 0.3
+# A parameter is badly known with a standard error above this share of its value.
+_BADLY_KNOWN = 0.3
 # A manoeuvre that brings an error below this share of what it was does determine the parameter.
 _DETERMINED = 0.3
 
 
 def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedCommand]:
-    """Every command with its limit and what the manoeuvre makes of it."""
+    """Every command with its limit, and its range in the manoeuvre."""
     return [
         PlannedCommand(
             name=name,
@@ -675,20 +674,21 @@ def parameters_of(
 ) -> list[PlannedParameter]:
     """Every free parameter with its standard errors before and after."""
     now, then = known.errors(known.now), known.errors(after)
-    lost = {name for group in undetermined for name in group}
+    names = {name for group in undetermined for name in group}
     return [
-        _planned(known.vehicle, signs, name, float(now[i]), float(then[i]), name in lost)
+        _planned_parameter(known.vehicle, signs, name, float(now[i]), float(then[i]), name in names)
         for i, name in enumerate(known.free)
     ]
 
 
-def _planned(
-    vehicle: Vehicle, signs: str, name: str, now: float, then: float, lost: bool
+def _planned_parameter(
+    vehicle: Vehicle, signs: str, name: str, now: float, then: float, undetermined: bool
 ) -> PlannedParameter:
     parameter, value = vehicle.declaration(name), vehicle.value_of(name).value
-    # A prior that is all there is does not become knowledge of the manoeuvre.
-    silent = lost and not then < _DETERMINED * now
-    verdict = "not determined" if silent else "badly known" if not then < _BADLY * abs(value) else ""
+    # Where the manoeuvre adds nothing to the prior, the error is that of the prior.
+    undetermined = undetermined and not then < _DETERMINED * now
+    badly_known = not then < _BADLY_KNOWN * abs(value)
+    verdict = "not determined" if undetermined else "badly known" if badly_known else ""
     return PlannedParameter(
         name=name,
         unit=parameter.shown_unit,
@@ -705,7 +705,7 @@ def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float
     lines = [
         f"the actuators cannot balance {value:.3g} {'N' if dof in ('surge', 'heave') else 'N m'} in {dof} at "
         f"the start: the vehicle does not hold its {'speed' if dof == 'surge' else 'depth and attitude'}"
-        for dof, value in problem.trim.left.items()
+        for dof, value in problem.trim.unbalanced.items()
     ]
     rise = _rise(problem, manoeuvre)
     if rise > problem.depth:

@@ -22,7 +22,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .manoeuvres import MULTISINE, Design
-from .problem import Knowledge, Manoeuvre, PlanningProblem, Plant, knowledge_of, stated
+from .problem import Knowledge, Manoeuvre, PlanningProblem, Plant, knowledge_from_fit, stated_knowledge
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class RivalSettings:
     states: int = 300  # random states at which forces are compared
     tilt: float = 0.1  # standard deviation of roll and pitch among them, rad
     rounds: int = 5  # of the search for a value
-    first: float = 1e-3  # value that it begins with
+    first_value: float = 1e-3  # value that it begins with
     diverged: float = 1e3  # change of the velocities that stands for a diverged simulation
-    nothing: float = 1e-9  # change of the velocities, or share of the force, that is none
-    most: int = 3  # rivals that are taken from a diagnosis
+    negligible: float = 1e-9  # change of the velocities, or share of the force, that is none
+    most_rivals: int = 3  # that are taken from a diagnosis
 
 
 SETTINGS = RivalSettings()
@@ -46,24 +46,24 @@ SETTINGS = RivalSettings()
 def typical_values(candidate: Candidate, problem: PlanningProblem) -> dict[str, float]:
     """Values with which each parameter of an effect would be noticeable, SNAME signs.
 
-    A force is 10 % of what the actuators give in a multisine, at speeds that are alike in all directions.
+    A force is 10 % of that of the actuators in a multisine, at speeds of equal size in all directions.
     What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
     does not change them is 0.1 in its unit. A parameter that cannot be zero (a time constant, a saturation)
     takes its default, or the middle one of the starting points of its declaration.
     """
-    own, command_scale = candidate.parameters, float(np.median(problem.limits.value)) / 2
-    fixed = {p.name: _middle(p, command_scale) for p in own if p.neutral != 0.0}
+    parameters, command_scale = candidate.parameters, float(np.median(problem.limits.value)) / 2
+    fixed = {p.name: _default_or_middle_start(p, command_scale) for p in parameters if p.neutral != 0.0}
     plant = Plant.of(candidate.vehicle)
     for name, value in fixed.items():
         plant.p[plant.functions.parameter_names.index(name)] = value
-    wide = problem.without_drift()
-    sizes = _TypicalSizes(plant, wide, _multisine(wide))
-    share = SETTINGS.typical / np.sqrt(max(len(own) - len(fixed), 1))
-    sized = {p.name: sizes.of(p, share) for p in own if p.neutral == 0.0}
+    problem = problem.without_drift()
+    sizes = _TypicalSizes(plant, problem, _multisine(problem))
+    share = SETTINGS.typical / np.sqrt(max(len(parameters) - len(fixed), 1))
+    sized = {p.name: sizes.of(p, share) for p in parameters if p.neutral == 0.0}
     return {name: float(value) for name, value in (fixed | sized).items()}
 
 
-def _middle(parameter: Parameter, command_scale: float) -> float:
+def _default_or_middle_start(parameter: Parameter, command_scale: float) -> float:
     if parameter.default is not None:
         return parameter.default
     start = parameter.starts[len(parameter.starts) // 2] if parameter.starts else 1.0
@@ -77,7 +77,7 @@ def _sign(parameter: Parameter) -> float:
 
 
 def _multisine(problem: PlanningProblem) -> Manoeuvre:
-    """A middling manoeuvre of everything at once, not the same on all axes."""
+    """A manoeuvre of medium size on all axes at once, different on each."""
     family = next(f for f in problem.families if MULTISINE in f.shapes and not f.in_turn)
     return problem.simulated(Design(family, 0.5 + 0.3 * np.sin(7.0 * np.arange(family.size))))
 
@@ -88,9 +88,9 @@ def _rms(columns: Array) -> float:
 
 
 class _TypicalSizes:
-    """Values of parameters by the force that they make, or by what they change of a manoeuvre.
+    """Values of parameters by the force that they make, or by the change of a manoeuvre.
 
-    Forces are taken at random motions as large as those of the manoeuvre, whatever the direction.
+    Forces are those at random motions as large as in the manoeuvre, in all directions.
     """
 
     def __init__(self, plant: Plant, problem: PlanningProblem, manoeuvre: Manoeuvre) -> None:
@@ -104,15 +104,13 @@ class _TypicalSizes:
         return found or SETTINGS.without_response * _sign(parameter)
 
     @cached_property
-    def _drive(self) -> Array:
+    def _actuator_force(self) -> Array:
         """Force and moment of the actuators, rms; where there are none, the largest of the same kind."""
         u = self._manoeuvre.u
-        push = (u - u.mean(axis=0)) @ self._problem.push.T
-        drive = np.sqrt(np.mean(push**2, axis=0))
+        force = np.sqrt(np.mean(((u - u.mean(axis=0)) @ self._problem.effectiveness.T) ** 2, axis=0))
         for kind in (self._linear, ~self._linear):
-            largest = np.max(drive[kind], initial=0.0) or np.max(drive)
-            drive[kind & (drive <= 0)] = largest
-        return np.asarray(drive)
+            force[kind & (force <= 0)] = np.max(force[kind], initial=0.0) or np.max(force)
+        return np.asarray(force)
 
     @cached_property
     def _inputs(self) -> tuple[Array, Array, Array]:
@@ -129,21 +127,21 @@ class _TypicalSizes:
         for name in {"phi", "theta"} & set(names):
             pose[names.index(name)] = SETTINGS.tilt * rng.standard_normal(count)
         u = self._manoeuvre.u[rng.integers(len(self._manoeuvre.u), size=count)].T
-        own = np.zeros((len(f.state_names) - 2 * size, count))
-        own[: f.memory.numel()] = float(np.max(scale)) * rng.standard_normal((f.memory.numel(), count))
-        x = np.vstack([pose, scale[:, None] * rng.standard_normal((size, count)), own])
+        internal = np.zeros((len(f.state_names) - 2 * size, count))
+        internal[: f.memory.numel()] = float(np.max(scale)) * rng.standard_normal((f.memory.numel(), count))
+        x = np.vstack([pose, scale[:, None] * rng.standard_normal((size, count)), internal])
         return x, jerk[:, None] * rng.standard_normal((size, count)), u
 
     def _by_force(self, parameter: Parameter, share: float) -> float:
-        """Value whose force is a share of the actuators', in the degree of freedom that feels it most."""
+        """Value whose force is a share of the actuators', in the degree of freedom where it is largest."""
         if not parameter.linear:
             return 0.0
-        f, count = self._plant.functions, SETTINGS.states
+        f, count, force = self._plant.functions, SETTINGS.states, self._actuator_force
         x, nu_dot, u = self._inputs
         table = np.array(f.regressor.map(count)(x, nu_dot, u, np.tile(self._plant.p[:, None], count), 0.0))
-        slopes = table.reshape(len(self._drive), count, -1)[:, :, f.parameter_names.index(parameter.name)]
-        largest = float(np.max(np.sqrt(np.mean(slopes**2, axis=1)) / self._drive))
-        return _sign(parameter) * share / largest if largest > SETTINGS.nothing else 0.0
+        slopes = table.reshape(len(force), count, -1)[:, :, f.parameter_names.index(parameter.name)]
+        largest = float(np.max(np.sqrt(np.mean(slopes**2, axis=1)) / force))
+        return _sign(parameter) * share / largest if largest > SETTINGS.negligible else 0.0
 
     def _velocities(self, p: Array) -> Array:
         y = self._problem.predicted(self._plant, self._problem.t, [self._manoeuvre.u], p)[0]
@@ -153,26 +151,26 @@ class _TypicalSizes:
         """Change of the velocities as a share of the speed, and of the rates; the larger of the two."""
         p = self._plant.p.copy()
         p[place] = value
-        moved, kinds = self._velocities(p) - self._without, (self._linear, ~self._linear)
-        shares = [_rms(moved[:, kind]) / _rms(self._without[:, kind]) for kind in kinds if kind.any()]
+        change, kinds = self._velocities(p) - self._without, (self._linear, ~self._linear)
+        shares = [_rms(change[:, kind]) / _rms(self._without[:, kind]) for kind in kinds if kind.any()]
         return max(shares) if np.isfinite(shares).all() else SETTINGS.diverged
 
     def _by_response(self, parameter: Parameter, share: float) -> float:
         """Value that changes the velocities by a share; zero if none does."""
         place = self._plant.functions.parameter_names.index(parameter.name)
-        value = _sign(parameter) * SETTINGS.first
+        value = _sign(parameter) * SETTINGS.first_value
         for _ in range(SETTINGS.rounds):
             change = self._change(place, value)
-            if change <= SETTINGS.nothing:
+            if change <= SETTINGS.negligible:
                 return 0.0
             value = float(np.clip(value * np.clip(share / change, 1e-3, 1e3), *parameter.bounds))
         return value
 
 
 NONE = "none"
-"""Stands for the model as it is."""
+"""Name of the model as it is."""
 AND = "+"
-"""Joins effects that one model has together."""
+"""Joins the effects of one model."""
 
 
 @dataclass(frozen=True)
@@ -181,9 +179,9 @@ class RivalModel:
 
     name: str  # ids of its effects joined by +, or "none"
     plant: Plant  # the model at its values
-    known: Knowledge  # what priors and logs say of its free parameters
+    known: Knowledge  # of its free parameters, from priors and logs
     model: WeakModel  # its weak residual, with the free parameters
-    own: tuple[str, ...]  # parameters of the effects that it has beyond the others
+    added: tuple[str, ...]  # parameters of the effects that it adds to the vehicle
     source: str  # where their values come from
 
     @property
@@ -199,7 +197,7 @@ def parts_of(name: str) -> list[str]:
 
 @dataclass(frozen=True)
 class RivalSpec:
-    """A model to be told apart as it is asked for."""
+    """The request for a model to be told apart from others."""
 
     name: str  # ids of effects joined by +, or "none"
     values: Mapping[str, float]  # values of parameters as far as known, SNAME signs
@@ -210,9 +208,9 @@ class RivalSpec:
             return None
         *others, last = parts_of(self.name)
         for effect in others:
-            first = _checked(effect, vehicle, known)
-            vehicle = first.vehicle_with({**neutral_values(first), **self.values})
-        return _checked(last, vehicle, known)
+            other = _addable(effect, vehicle, known)
+            vehicle = other.vehicle_with({**neutral_values(other), **self.values})
+        return _addable(last, vehicle, known)
 
 
 def neutral_values(candidate: Candidate) -> dict[str, float]:
@@ -223,7 +221,7 @@ def neutral_values(candidate: Candidate) -> dict[str, float]:
     }
 
 
-def _checked(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
+def _addable(effect: str, vehicle: Vehicle, known: Catalogue) -> Candidate:
     cls = lookup(effect, known)
     if cls.built_in:
         raise UndertowError(f"'{effect}' belongs to the actuators and is in every model: name another effect")
@@ -244,20 +242,20 @@ def rival_models(
     runs, before = problem.runs, free_parameters(vehicle)
     data = prepare(runs, vehicle) if runs else None
     bench = None if data is None else open_bench(vehicle, data, data)
-    made = []
+    rivals = []
     for spec in specs:
         if bench is not None:
             candidate = spec.candidate(vehicle, known)
             fit = bench.base if candidate is None else _fitted(candidate, bench, spec.values)
-            known_of, source = knowledge_of(fit, runs), "fitted to the logs"
+            knowledge, source = knowledge_from_fit(fit, runs), "fitted to the logs"
         else:
-            valued, source = _valued(vehicle, spec, known, problem)
-            known_of = stated(valued, free_parameters(valued))
-        plant = Plant.of(known_of.vehicle, compiled=problem.request.compiled)
-        own = tuple(n for n in known_of.free if n not in before)
-        model = WeakModel(plant.functions, known_of.free)
-        made.append(RivalModel(spec.name, plant, known_of, model, own, source))
-    return made
+            rival, source = _with_values(vehicle, spec, known, problem)
+            knowledge = stated_knowledge(rival, free_parameters(rival))
+        plant = Plant.of(knowledge.vehicle, compiled=problem.request.compiled)
+        added = tuple(n for n in knowledge.free if n not in before)
+        model = WeakModel(plant.functions, knowledge.free)
+        rivals.append(RivalModel(spec.name, plant, knowledge, model, added, source))
+    return rivals
 
 
 def _with_one_value_in_all_runs(vehicle: Vehicle) -> Vehicle:
@@ -268,25 +266,25 @@ def _with_one_value_in_all_runs(vehicle: Vehicle) -> Vehicle:
 
 def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> WeakFit:
     """The best of the fits from the effect's most promising start, or from values found before."""
-    own = {p.name for p in candidate.parameters}
-    found = {n: v for n, v in values.items() if n in own}
+    names = {p.name for p in candidate.parameters}
+    found = {n: v for n, v in values.items() if n in names}
     screened = screen(candidate, bench)[0].values
-    # Values that make up for what is missing may lead astray, and so may those of the file.
-    starts = [screened, {n: v for n, v in screened.items() if n in own}]
+    # Values that compensate for a missing effect may lead to a local minimum, and so may those of the file.
+    starts = [screened, {n: v for n, v in screened.items() if n in names}]
     starts += [found, bench.base.values | found] if found else []
     fits = [bench.fit(candidate.vehicle, candidate.free(), start) for start in starts]
     return with_reestimated_noise(min(fits, key=lambda fit: fit.cost))
 
 
-def _valued(
+def _with_values(
     vehicle: Vehicle, spec: RivalSpec, known: Catalogue, problem: PlanningProblem
 ) -> tuple[Vehicle, str]:
     """A rival without logs, and where its values come from."""
     source = "vehicle file"
     for effect in parts_of(spec.name):
-        candidate = _checked(effect, vehicle, known)
-        own = {p.name for p in candidate.parameters}
-        found = {n: v for n, v in spec.values.items() if n in own}
+        candidate = _addable(effect, vehicle, known)
+        names = {p.name for p in candidate.parameters}
+        found = {n: v for n, v in spec.values.items() if n in names}
         source = "diagnosis" if found else "typical size"
         values = {**neutral_values(candidate), **found} if found else typical_values(candidate, problem)
         vehicle = candidate.vehicle_with(values)
@@ -327,13 +325,14 @@ class Diagnosed(BaseModel):
     def rivals(self) -> list[str]:
         """Effects to be told apart, at most three; "none" stands for the model without any."""
         found = self.indistinguishable[0].effects if self.indistinguishable else self._leading()
-        named = list(dict.fromkeys(found))[: SETTINGS.most]
+        named = list(dict.fromkeys(found))[: SETTINGS.most_rivals]
         return named if len(named) > 1 else [*named, NONE]
 
     def _leading(self) -> list[str]:
-        tried = [r.effect for r in self.ranking if r.parameters]
-        sure = [r.effect for r in self.ranking if r.significant]
-        return list(dict.fromkeys([*self.effects[:1], *(sure if len(sure) > 1 else tried[:2])]))
+        fitted = [r.effect for r in self.ranking if r.parameters]
+        significant = [r.effect for r in self.ranking if r.significant]
+        leading = significant if len(significant) > 1 else fitted[:2]
+        return list(dict.fromkeys([*self.effects[:1], *leading]))
 
     @property
     def in_every_rival(self) -> list[str]:
@@ -344,8 +343,8 @@ class Diagnosed(BaseModel):
 
     def values(self, effect: str) -> dict[str, float]:
         """Values in the file's sign convention: those of the last model, and the effect's own."""
-        own = next((r.parameters for r in self.ranking if r.effect == effect), [])
-        return {e.name: e.value for e in [*self.parameters, *own]}
+        of_effect = next((r.parameters for r in self.ranking if r.effect == effect), [])
+        return {e.name: e.value for e in [*self.parameters, *of_effect]}
 
 
 def specs_of(diagnosed: Diagnosed, vehicle: Vehicle, known: Catalogue) -> list[RivalSpec]:

@@ -66,8 +66,8 @@ class SearchSettings:
     # Size of a change at the beginning and at the end of a refinement, numbers being between 0 and 1.
     first_change: float = 0.35
     last_change: float = 0.04
-    # Some changes give a number any value at all, so that a sign or an order of levels can turn.
-    anew: float = 0.25
+    # Share of the numbers drawn anew by the first changes, so that a sign or an order of levels can change.
+    redrawn: float = 0.25
 
 
 SEARCH = SearchSettings()
@@ -76,7 +76,7 @@ SEARCH = SearchSettings()
 class PlanSearch(ABC):
     """Random search for the best manoeuvre, and refinement; the same seed finds the same manoeuvre.
 
-    `plant` and `known` are the model by which the spread of the depth is predicted.
+    `plant` and `known` are the model that predicts the uncertainty of the depth.
     """
 
     def __init__(self, problem: PlanningProblem, plant: Plant, known: Knowledge, tries: int) -> None:
@@ -91,7 +91,7 @@ class PlanSearch(ABC):
         self._rng = np.random.default_rng(problem.request.seed)
 
     @abstractmethod
-    def worth(self, manoeuvre: Manoeuvre) -> float:
+    def objective(self, manoeuvre: Manoeuvre) -> float:
         """Objective of a safe manoeuvre; -inf if it cannot be computed."""
 
     @abstractmethod
@@ -135,17 +135,17 @@ class PlanSearch(ABC):
         exploring = max(round(SEARCH.exploring * self._tries), len(families))
         for i in range(exploring):
             family = families[i % len(families)]
-            self._try(Design(family, self._rng.random(family.size)), "searching for a manoeuvre")
+            self._evaluate(Design(family, self._rng.random(family.size)), "searching for a manoeuvre")
         leaders = sorted(self._leaders.values(), key=lambda pair: -pair[0])[: SEARCH.short_list]
-        # A quarter of what is left for the leader, an eighth for the next; then all the rest for the best.
+        # A quarter of the remaining tries for the leader, an eighth for the next; all others for the best.
         for rank, (value, design) in enumerate(leaders):
             self._refine(design, value, (self._tries - exploring) // 2 ** (rank + 2), SEARCH.first_change)
         if self._best is not None:
             rest = self._tries - self._count
             self._refine(self._best[0], self.value, rest, SEARCH.first_change / 3)
 
-    def _try(self, design: Design, words: str) -> float:
-        value = self._judged(design)
+    def _evaluate(self, design: Design, words: str) -> float:
+        value = self._value(design)
         self._count += 1
         self.problem.request.report(min(self._count / max(self._tries, 1), 1.0), words)
         name = design.family.name
@@ -154,35 +154,35 @@ class PlanSearch(ABC):
             self._leaders[name] = (value, design)
         return value
 
-    def _judged(self, design: Design) -> float:
+    def _value(self, design: Design) -> float:
         manoeuvre = self.problem.simulated(design)
         if not manoeuvre.safe:
-            if self._gentlest is None or manoeuvre.strain < self._gentlest.strain:
+            if self._gentlest is None or manoeuvre.limit_ratio < self._gentlest.limit_ratio:
                 self._gentlest = manoeuvre
             return -np.inf
-        value = self.worth(manoeuvre)
+        value = self.objective(manoeuvre)
         if value > self.value:
             self.value, self._best = value, (design, manoeuvre)
         return value
 
     def _refine(self, design: Design, value: float, tries: int, first: float) -> None:
-        """Change a few numbers at a time, less and less, and keep what is better."""
+        """Change a few numbers at a time, by less and less, and keep what is better."""
         for i in range(tries):
             size = first * (SEARCH.last_change / first) ** (i / max(tries - 1, 1))
-            changed = Design(design.family, self._changed(design.numbers, size))
-            got = self._try(changed, f"refining {design.family.name}")
-            if got > value:
-                design, value = changed, got
+            changed = Design(design.family, self._perturbed(design.numbers, size))
+            changed_value = self._evaluate(changed, f"refining {design.family.name}")
+            if changed_value > value:
+                design, value = changed, changed_value
 
-    def _changed(self, numbers: Array, size: float) -> Array:
+    def _perturbed(self, numbers: Array, size: float) -> Array:
         rng = self._rng
         chosen = rng.random(len(numbers)) < max(2.0 / len(numbers), 0.1)
         chosen[rng.integers(len(numbers))] = True
-        moved = numbers + size * rng.standard_normal(len(numbers))
-        moved = np.abs(1.0 - np.abs(1.0 - moved))
-        anew = rng.random(len(numbers)) < SEARCH.anew * size / SEARCH.first_change
-        moved = np.where(anew, rng.random(len(numbers)), moved)
-        return np.clip(np.where(chosen, moved, numbers), 0.0, 1.0)
+        changed = numbers + size * rng.standard_normal(len(numbers))
+        changed = np.abs(1.0 - np.abs(1.0 - changed))
+        redrawn = rng.random(len(numbers)) < SEARCH.redrawn * size / SEARCH.first_change
+        changed = np.where(redrawn, rng.random(len(numbers)), changed)
+        return np.clip(np.where(chosen, changed, numbers), 0.0, 1.0)
 
 
 def plan_parameters(
@@ -196,8 +196,8 @@ def plan_parameters(
     """Find the manoeuvre after which the parameters are known best.
 
     The criterion is the determinant of the information on them (D-optimality; Atkinson, Donev and Tobias,
-    Optimum Experimental Designs): that of the weak form of the simulated log, as `fit_weak` sees it, together
-    with stated priors and the logs. `only` names the parameters that matter, by default all that are marked
+    Optimum Experimental Designs): that of the weak form of the simulated log, as for `fit_weak`, together
+    with stated priors and the logs. `only` names the parameters of interest, by default all that are marked
     `estimate`; the others are still estimated.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
@@ -237,7 +237,7 @@ class _ParameterSearch(PlanSearch):
     def _gram(self, manoeuvre: Manoeuvre) -> Array | None:
         return gram_along(self._model, self.problem.data(manoeuvre, 0), self.plant.p)
 
-    def worth(self, manoeuvre: Manoeuvre) -> float:
+    def objective(self, manoeuvre: Manoeuvre) -> float:
         gram = self._gram(manoeuvre)
         if gram is None:
             return -np.inf
@@ -270,11 +270,11 @@ class SeparationSettings:
 
     rounds: int = 6  # Gauss-Newton steps of a thorough refit
     shares: tuple[float, ...] = (1.0, 0.5, 0.2)  # of a step, tried in turn
-    enough: float = 0.01  # fall of the sum of squares that changes no judgement
+    tolerance: float = 0.01  # fall of the sum of squares that is negligible
     separated: float = 3.0  # models nearer than this, in standard deviations, are the same in practice
     thorough: int = 2  # thorough refits add about as many calls as searching makes
-    suggested: int = 60  # tries of a suggestion: a look at every family and some refinement of the best
-    wide: float = 1.5  # factor of the noise from which a remark says so
+    suggested: int = 60  # tries of a suggestion: for a few of every family and some refinement of the best
+    remarked: float = 1.5  # inflation of the noise from which on a remark says so
 
 
 SEPARATION = SeparationSettings()
@@ -295,56 +295,56 @@ class Refit:
 
     @property
     def vehicle(self) -> Vehicle:
-        """The model that gives way."""
+        """The model that is refitted."""
         return self._model.functions.vehicle
 
     def distance(self, data: WeakData, start: Array | None = None, rounds: int = 1) -> tuple[float, Array]:
-        """Sum of squares that no refit of the rival removes, in units of the noise, and the refit.
+        """Sum of squares that remains after the refit, in units of the noise, and the values of the refit.
 
-        The residual that the true model leaves itself (quadrature, and noise in a real log) does not count.
+        The residual of the true model (quadrature, and noise in a real log) is subtracted.
         """
         p = (self._p if start is None else start).copy()
-        own = self._truth.linearise(data, self._true_p)
+        truth = self._truth.linearise(data, self._true_p)
         noise = self._model.whitening(data, p)
-        at = self._at(data, p, own, noise)
+        at = self._at(data, p, truth, noise)
         for left in range(rounds, 0, -1):
             if not (np.isfinite(at.r).all() and np.isfinite(at.J).all()):
                 return 0.0, p
             step = bounded_step(at, p[self._places], self._bounds, self._prior)
             predicted = squared(at.r + at.J @ step)
-            if left == 1 or squared(at.r) - predicted < SEPARATION.enough:
+            if left == 1 or squared(at.r) - predicted < SEPARATION.tolerance:
                 return min(predicted, squared(at.r)), p
-            p, at = self._moved(data, p, step, at, own, noise)
+            p, at = self._after_step(data, p, step, at, truth, noise)
         return 0.0, p
 
-    def _moved(
+    def _after_step(
         self,
         data: WeakData,
         p: Array,
         step: Array,
         at: Linearised,
-        own: list[Linearised],
+        truth: list[Linearised],
         noise: list[Whitening],
     ) -> tuple[Array, Linearised]:
         for share in SEPARATION.shares:
             tried = p.copy()
             tried[self._places] = np.clip(p[self._places] + share * step, *self._bounds)
-            there = self._at(data, tried, own, noise)
+            there = self._at(data, tried, truth, noise)
             if squared(there.r) < squared(at.r):
                 return tried, there
         return p, at
 
-    def _at(self, data: WeakData, p: Array, own: list[Linearised], noise: list[Whitening]) -> Linearised:
-        """The linearised problem; below the prediction stands what the logs hold against a change."""
-        parts = [_apart(a, b) for a, b in zip(self._model.linearise(data, p), own, strict=True)]
-        seen = whitened(parts, noise)
-        moved = self._root @ (p[self._places] - self._p[self._places])
-        both, slopes = np.concatenate([seen.r, moved]), np.vstack([seen.J, self._root])
-        return Linearised(both, slopes, np.zeros((len(both), 0)))
+    def _at(self, data: WeakData, p: Array, truth: list[Linearised], noise: list[Whitening]) -> Linearised:
+        """The problem linearised at p: the difference of the residuals, and that to the fit to the logs."""
+        parts = [_difference(a, b) for a, b in zip(self._model.linearise(data, p), truth, strict=True)]
+        predicted = whitened(parts, noise)
+        to_logs = self._root @ (p[self._places] - self._p[self._places])
+        r, slopes = np.concatenate([predicted.r, to_logs]), np.vstack([predicted.J, self._root])
+        return Linearised(r, slopes, np.zeros((len(r), 0)))
 
 
-def _apart(rival: Linearised, truth: Linearised) -> Linearised:
-    """Difference of two residuals; neither knows the first states of its effects."""
+def _difference(rival: Linearised, truth: Linearised) -> Linearised:
+    """Difference of two residuals; in both the first states of the effects are unknown."""
     known = [k for k in (rival.known, truth.known) if k is not None]
     return replace(
         rival,
@@ -357,16 +357,16 @@ def _apart(rival: Linearised, truth: Linearised) -> Linearised:
 class Separations:
     """Distances between all pairs of rivals."""
 
-    def __init__(self, rivals: Sequence[RivalModel], spread: float, *, with_logs: bool) -> None:
-        self._spread, self._count = spread, len(rivals)
+    def __init__(self, rivals: Sequence[RivalModel], inflation: float, *, with_logs: bool) -> None:
+        self._inflation, self._count = inflation, len(rivals)
         self.pairs = list(combinations(range(len(rivals)), 2))
-        # A model cannot differ from one that contains it: only the other way round is there a difference.
-        self._ways = [
+        # A model that contains another fits its predictions exactly: only the refit of the other one counts.
+        self._directions = [
             [(i, j) for i, j in (pair, pair[::-1]) if not rivals[i].parts < rivals[j].parts]
             for pair in self.pairs
         ]
-        ways = [way for ways in self._ways for way in ways]
-        self._refits = {(i, j): Refit(rivals[j], rivals[i], with_logs=with_logs) for i, j in ways}
+        directions = [direction for directions in self._directions for direction in directions]
+        self._refits = {(i, j): Refit(rivals[j], rivals[i], with_logs=with_logs) for i, j in directions}
         self._last: dict[tuple[int, int], Array] = {}
 
     def along(self, problem: PlanningProblem, manoeuvre: Manoeuvre, rounds: int = SEPARATION.rounds) -> Array:
@@ -374,24 +374,24 @@ class Separations:
 
         With one round, refits are linearised about the last thorough ones.
         """
-        return self._apart([problem.data(manoeuvre, i) for i in range(self._count)], rounds)
+        return self._chi_square([problem.data(manoeuvre, i) for i in range(self._count)], rounds)
 
     def on_logs(self, runs: Sequence[Run], sigma: Array) -> Array:
         """Chi-square of every pair along the motions of logs; sigma is the noise of their 2n channels."""
-        data = prepare(runs, self._refits[self._ways[0][0]].vehicle, sigma=sigma)
-        return self._apart([data] * self._count, SEPARATION.rounds)
+        data = prepare(runs, self._refits[self._directions[0][0]].vehicle, sigma=sigma)
+        return self._chi_square([data] * self._count, SEPARATION.rounds)
 
-    def _apart(self, predicted: Sequence[WeakData], rounds: int) -> Array:
-        """The smaller of both ways round, for every pair."""
-        found = [min(self._way(way, predicted[way[0]], rounds) for way in ways) for ways in self._ways]
-        return np.array(found) / self._spread**2
+    def _chi_square(self, predicted: Sequence[WeakData], rounds: int) -> Array:
+        """The smaller one of the two directions of every pair."""
+        found = [min(self._distance(d, predicted[d[0]], rounds) for d in both) for both in self._directions]
+        return np.array(found) / self._inflation**2
 
-    def _way(self, way: tuple[int, int], data: WeakData, rounds: int) -> float:
-        """One model refitted to another; thorough refits are where the next one begins."""
-        near, p = self._refits[way].distance(data, self._last.get(way), rounds)
+    def _distance(self, direction: tuple[int, int], data: WeakData, rounds: int) -> float:
+        """Distance in one direction; the next refit starts from the values of the last thorough one."""
+        distance, p = self._refits[direction].distance(data, self._last.get(direction), rounds)
         if rounds > 1:
-            self._last[way] = p
-        return near
+            self._last[direction] = p
+        return distance
 
 
 def plan_separation(
@@ -407,7 +407,7 @@ def plan_separation(
 
     The criterion is the difference between the predictions of two models after the parameters of the one have
     been refitted to the other, in units of the noise (T-optimality; Atkinson and Fedorov, 1975, Biometrika
-    62), in the weak form, by which `undertow diagnose` judges. While searching, refits are linearised. The
+    62), in the weak form, as in `undertow diagnose`. While searching, refits are linearised. The
     rivals are fitted to the logs, and have to keep fitting them; `vehicle` is the model without the effects.
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
@@ -425,7 +425,7 @@ def plan_separation(
 
 
 class _SeparationSearch(PlanSearch):
-    """Worth are standard deviations between the models, a mean over pairs in which close ones weigh most."""
+    """The objective is the standard deviations between models: a mean over pairs, dominated by close ones."""
 
     def __init__(self, problem: PlanningProblem, rivals: Sequence[RivalModel]) -> None:
         others, states = len(rivals) - 1, 2 * len(problem.vehicle.dof_indices)
@@ -433,14 +433,13 @@ class _SeparationSearch(PlanSearch):
         tries = problem.tries(columns, calls=SEPARATION.thorough * others * len(rivals))
         super().__init__(problem, rivals[0].plant, rivals[0].known, tries)
         self.rivals = rivals
-        # The model that explains the logs best says how far beyond noise they are.
-        self.spread = min(r.known.misfit for r in rivals)
-        self.separations = Separations(rivals, self.spread, with_logs=bool(problem.runs))
+        self.inflation = min(r.known.misfit for r in rivals)  # by the model that fits the logs best
+        self.separations = Separations(rivals, self.inflation, with_logs=bool(problem.runs))
 
-    def worth(self, manoeuvre: Manoeuvre) -> float:
+    def objective(self, manoeuvre: Manoeuvre) -> float:
         value = _mean(self.separations.along(self.problem, manoeuvre, rounds=1))
         if value > self.value:
-            # What looks best by linearised refits has to be so by thorough ones.
+            # The best one by linearised refits is evaluated by thorough ones.
             value = _mean(self.separations.along(self.problem, manoeuvre))
         return value
 
@@ -462,8 +461,8 @@ class _SeparationSearch(PlanSearch):
         plan = self.separations.along(self.problem, manoeuvre)
         now: list[float] | None = None
         if runs:
-            apart = Separations(self.rivals, self.spread, with_logs=False)
-            now = apart.on_logs(runs, self.problem.noise.finite).tolist()
+            separations = Separations(self.rivals, self.inflation, with_logs=False)
+            now = separations.on_logs(runs, self.problem.noise.finite).tolist()
         found = []
         for k, (i, j) in enumerate(self.separations.pairs):
             before = None if now is None else now[k]
@@ -498,22 +497,22 @@ class _SeparationSearch(PlanSearch):
                 f"nothing is known about the size of {' and '.join(assumed)}: planned with a tenth of the "
                 "actuators' force, or of the velocities; a diagnosis or logs would say more"
             )
-        if self.spread > SEPARATION.wide:
+        if self.inflation > SEPARATION.remarked:
             lines.append(
                 "even the best of the models leaves a residual above the noise on the logs: distances are "
-                f"computed as if the noise were {self.spread:.2g} times larger"
+                f"computed as if the noise were {self.inflation:.2g} times larger"
             )
         return lines
 
 
 def _mean(chi_square: Array) -> float:
-    """Of one pair its standard deviations; of several a mean in which a hopeless pair hides no other."""
+    """Standard deviations, for several pairs a mean that is not zero if only one of them is."""
     return float(np.sqrt(np.expm1(np.mean(np.log1p(chi_square)))))
 
 
 def _planned_rival(rival: RivalModel, signs: str) -> Rival:
     vehicle = rival.plant.functions.vehicle
-    declared = {n: vehicle.declaration(n) for n in rival.own}
+    declared = {n: vehicle.declaration(n) for n in rival.added}
     return Rival(
         name=rival.name,
         values={n: printed(p, vehicle.value_of(n).value, signs) for n, p in declared.items()},
@@ -531,18 +530,16 @@ def suggest(
     known: Catalogue | None = None,
     tries: int = SEPARATION.suggested,
 ) -> tuple[str, bool]:
-    """Say which kind of manoeuvre would tell effects apart, and whether any does.
+    """The kind of manoeuvre that would tell effects apart, in words, and whether any does.
 
-    It keeps within the commands and motions of the logs.
-
-    Effects of one model are joined by +; "none" is the model without any. Fits begin at `values`, by id of
-    the effect and name of the parameter, SNAME signs.
+    It keeps within the commands of the logs. Effects of one model are joined by +; "none" is the model
+    without any. Fits start from `values`, by id of the effect and name of the parameter, SNAME signs.
     """
     specs = [RivalSpec(name, (values or {}).get(name, {})) for name in ids]
     plan = plan_separation(vehicle, specs, runs, PlanRequest(tries=tries), known=known).plan
-    # That these logs do not tell them apart is known: what counts is what the run brings.
-    apart = min(plan.separations, key=_alone)
-    then, now, between = _alone(apart), apart.deviations_now or 0.0, " and ".join(apart.pair)
+    # These logs do not tell them apart: only the contribution of the manoeuvre counts.
+    closest = min(plan.separations, key=_added_deviations)
+    then, now, between = _added_deviations(closest), closest.deviations_now or 0.0, " and ".join(closest.pair)
     tried = f"manoeuvre of {plan.duration:g} s that was tried"
     if then < SEPARATION.separated:
         words = f"with the best they differ by only {then:.2g} standard deviations."
@@ -558,8 +555,7 @@ def suggest(
     return words, True
 
 
-def _alone(separation: Separation) -> float:
-    """Standard deviations by the manoeuvre alone."""
+def _added_deviations(separation: Separation) -> float:
     return float(np.sqrt(max(separation.chi_square - (separation.chi_square_now or 0.0), 0.0)))
 
 
