@@ -10,7 +10,7 @@ from undertow.identification.report.pictures import RunTraces, Trace
 def part(run: RunTraces, start: float, stop: float, channels: Container[str]) -> RunTraces:
     """Some channels of a run between two times, s."""
     return RunTraces(
-        run.run, tuple(_cut(t, start, stop) for t in run.traces if t.channel in channels), run.how
+        run.run, tuple(_cut(t, start, stop) for t in run.traces if t.channel in channels), run.caption
     )
 
 

@@ -26,7 +26,14 @@ from undertow.identification.comparison import (
     whiteness,
 )
 from undertow.identification.estimation.data import channel_noise
-from undertow.identification.report.page import budgets, curves, errors_by_regime, leading, telling, traces
+from undertow.identification.report.page import (
+    budgets,
+    curves,
+    errors_by_regime,
+    informativeness,
+    leading,
+    traces,
+)
 from undertow.model.vehicle import Vehicle
 
 
@@ -226,7 +233,7 @@ def test_a_variable_that_tells_comes_first() -> None:
     vehicle = _true_surge()
     without = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=0.0)})
     forces = residual_forces(without, [surge_run(0.01, s) for s in range(3)])
-    found = sorted(profiles(forces, without, ()), key=telling, reverse=True)
+    found = sorted(profiles(forces, without, ()), key=informativeness, reverse=True)
     assert found[0].variable == "u"
     drag = -TRUTH["X_uabsu"] * np.abs(found[0].centre) * found[0].centre
     np.testing.assert_allclose(found[0].force, drag, atol=0.06)

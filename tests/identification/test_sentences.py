@@ -31,9 +31,9 @@ from undertow.identification.report.sentences import (
     changes,
     first_sentence,
     next_command,
+    percentage,
     refit_is_worse,
     rises,
-    shown,
     step_changes,
     summarised,
     useless,
@@ -130,7 +130,7 @@ def test_the_position_is_said_where_it_gains_most() -> None:
 
 
 def test_shares_have_two_digits() -> None:
-    assert [shown(s) for s in (0.0401, 0.0996, 0.5, 1.234, 0.0, float("inf"))] == [
+    assert [percentage(s) for s in (0.0401, 0.0996, 0.5, 1.234, 0.0, float("inf"))] == [
         "4.0",
         "10.0",
         "50",
@@ -138,7 +138,7 @@ def test_shares_have_two_digits() -> None:
         "0",
         "diverging",
     ]
-    assert shown(0.2546, 3) == "25.5"
+    assert percentage(0.2546, 3) == "25.5"
 
 
 def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:

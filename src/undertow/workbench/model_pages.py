@@ -162,7 +162,7 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
             ui.label(f"To tell them apart: {c['tell']}").classes("text-sm")
         between = ",".join([c["effect"], *c["confused"]])
         line = view.bench.place.line()
-        lines(line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
+        lines(line.on_logs(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv"))
 
 
 def _equations(place: Any, written: Iterable[tuple[str, str | None]]) -> None:
@@ -440,7 +440,7 @@ def commands(place: Workspace) -> list[str]:
     session, found, name, own = place.session, list[str](), near(place.session.vehicle), list[str]()
     for step in session.steps:
         if step.command:
-            found.append(place.line(name, own).fitting(step.command.split(), "--out", step.file))
+            found.append(place.line(name, own).with_holdout(step.command.split(), "--out", step.file))
         elif step.file:
             found.append(f"# edit {shlex.quote(name)}: {step.what}; save it as {step.file}")
         name = step.file or name
@@ -454,7 +454,7 @@ def commands(place: Workspace) -> list[str]:
 def _asked(task: str, effect: str, line: CommandLine) -> str:
     """The command that asks what a button asked."""
     if task == "diagnose":
-        return line.fitting(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")
+        return line.with_holdout(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")
     if task == "invent":
         return f"undertow effects new {effect} --from diagnosis.json"
-    return line.looking([{"examine": "doctor"}.get(task, task)])
+    return line.on_logs([{"examine": "doctor"}.get(task, task)])

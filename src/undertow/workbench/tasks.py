@@ -25,7 +25,13 @@ from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import Fitted, base_parameters, correlation, notes
 from undertow.identification.logs.reading import read_logs
 from undertow.identification.logs.run import Run
-from undertow.identification.report.page import estimate_text, render_report, report_data, simulated, telling
+from undertow.identification.report.page import (
+    estimate_text,
+    informativeness,
+    render_report,
+    report_data,
+    simulated,
+)
 from undertow.identification.report.pictures import RunTraces, decimated
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
@@ -177,7 +183,7 @@ def _compared(found: Comparison) -> Result:
         "cells": [c.model_dump() for c in cells],
         "worst": None if result.worst is None else result.worst.model_dump(),
         "stretches": stretches,
-        "profiles": [_profile(p) for p in sorted(found.profiles, key=telling, reverse=True)],
+        "profiles": [_profile(p) for p in sorted(found.profiles, key=informativeness, reverse=True)],
         "run": found.forces.run[rows].tolist(),
         "t": _plain(found.forces.t[rows]),
         "missing": _columns(result.degrees_of_freedom, found.forces.missing[rows]),

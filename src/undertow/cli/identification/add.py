@@ -96,13 +96,13 @@ def show(addition: Addition) -> None:
     """Say what the effect does to the error, and with which values."""
     from undertow.identification.estimation.step import UNDETERMINED
     from undertow.identification.report.results import addition_sentence
-    from undertow.identification.report.sentences import shown
+    from undertow.identification.report.sentences import percentage
 
     say(addition_sentence(addition), "" if addition.helps else "yellow")
     names = ("model as given", f"refitted without {addition.effect}", f"refitted with {addition.effect}")
     horizons = list(dict.fromkeys(h for step in addition.steps for h in step.ahead))
     rows = [
-        (name, f"{step.error:.4g}", *(shown(step.ahead.get(h), 3) for h in horizons))
+        (name, f"{step.error:.4g}", *(percentage(step.ahead.get(h), 3) for h in horizons))
         for name, step in zip(names, addition.steps, strict=True)
     ]
     heads = ("", "force, times noise", *(f"{h}, %" for h in horizons))

@@ -236,7 +236,7 @@ def _combined(fit: Fitted, given: CommandLine) -> list[str]:
     lines = [f"only these combinations can be identified: {', '.join(map(str, sums))}"] if sums else []
     lacking = [name for name, verdict in verdicts(fit).items() if verdict != "identified"]
     if lacking and can_be_planned(fit.model.functions.vehicle):
-        plan = given.looking(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
+        plan = given.on_logs(["plan"], "--only", ",".join(lacking), "--out", "plan.csv")
         lines.append(f"to plan a better run: {plan}")
     return lines
 

@@ -44,11 +44,10 @@ from .pictures import (
     ranking,
     residual_against,
 )
-from .sentences import chance, sure_in_words
+from .sentences import chance, significance_text
 
-# --- what a report shows of a model ---------------------------------------------------------------
-# Bins in which the mean residual force may leave the noise by chance do not make a variable telling.
-_CURVES = 9
+# --- results of a model for a report --------------------------------------------------------------
+_CURVES = 9  # variables that residual forces are drawn against
 
 
 def errors_by_regime(before: Comparison, after: Comparison | None = None) -> ErrorMap:
@@ -68,27 +67,23 @@ def _map(comparison: Comparison, rows: tuple[str, ...], names: tuple[str, ...]) 
 
 
 def traces(
-    before: Comparison,
-    after: Comparison | None = None,
-    *,
-    free: bool = False,
-    given: Vehicle | None = None,
+    before: Comparison, after: Comparison | None = None, *, free: bool = False, given: Vehicle | None = None
 ) -> list[RunTraces]:
     """Measured and simulated channels of every run: over windows that start from the measurement, or free.
 
     `given` is the model before any fit, shown beside the other two.
     """
     models = {"before": before} | ({} if after is None else {"after": after})
-    shown = {name: c.free_run if free else c.ahead for name, c in models.items()}
-    found = shown["before"].windows
+    predictions = {name: c.free_run if free else c.ahead for name, c in models.items()}
+    found = predictions["before"].windows
     if given is not None:
-        shown["given"] = predict(given, found, compiled=False)
+        predictions["given"] = predict(given, found, compiled=False)
     windows = f"every {before.result.horizon:g} s from the measured motion"
-    starts = np.bincount(found.run, minlength=len(found.runs))
-    hows = [_without_correction(int(count)) if free else windows for count in starts]
+    starts = np.bincount(found.run, minlength=len(found.runs)).tolist()
+    manners = [_without_correction(count) if free else windows for count in starts]
     return [
-        RunTraces(run.name, tuple(_traces(i, shown)), f"simulated {how}")
-        for i, (run, how) in enumerate(zip(found.runs, hows, strict=True))
+        RunTraces(run.name, tuple(_traces(i, predictions)), f"simulated {manner}")
+        for i, (run, manner) in enumerate(zip(found.runs, manners, strict=True))
     ]
 
 
@@ -109,40 +104,38 @@ def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> l
 
 
 def _traces(run: int, models: Mapping[str, Prediction]) -> Iterator[Trace]:
-    # A model with values by run has the first part of a log for them: it is judged by the rest alone.
-    log = max((m.windows.runs[run] for m in models.values()), key=lambda own: len(own.t))
-    simulated = {which: _on_clock(prediction, run, log) for which, prediction in models.items()}
+    # A model with values by run estimates them from the first part of a log, and predicts only the rest.
+    log = max((m.windows.runs[run] for m in models.values()), key=lambda r: len(r.t))
+    simulated = {which: _at_samples(prediction, run, log) for which, prediction in models.items()}
     for i, name in enumerate(models["before"].names):
         if log.has(name):
-            along = log.channels[name]
-            lines = {which: _like(values[:, i], along, name) for which, values in simulated.items()}
+            measured = log.channels[name]
+            lines = {k: _wrapped_like(values[:, i], measured, name) for k, values in simulated.items()}
             yield Trace(name, UNITS[name], log.t, log.reports(name), **lines)
 
 
-def _on_clock(prediction: Prediction, run: int, log: Run) -> Array:
-    """Predictions at the samples of a log; NaN where none reaches, and at the end of every window."""
+def _at_samples(prediction: Prediction, run: int, log: Run) -> Array:
+    """Predictions at the samples of a log; NaN outside the windows, and at the end of every window."""
     windows = prediction.windows
     result = np.full((len(log.t), len(windows.names)), np.nan)
-    before = int(
-        np.searchsorted(log.t, windows.runs[run].t[0])
-    )  # samples of the log, of which the run is a part
-    inside = windows.inside.copy()
-    # A window ends where the next begins; that sample shows the new start, and one before it breaks the line.
+    first = int(np.searchsorted(log.t, windows.runs[run].t[0]))  # the run is a part of the log
+    # A window ends where the next one begins: its last sample is left out, which breaks the line.
     for k in np.flatnonzero(windows.run == run).tolist():
-        rows = before + windows.samples[k][inside[k]]
-        result[rows[:-1]] = prediction.predicted[k][inside[k]][:-1]
+        inside = windows.inside[k]
+        rows = first + windows.samples[k][inside]
+        result[rows[:-1]] = prediction.predicted[k][inside][:-1]
         result[rows[-1]] = np.nan
     return result
 
 
-def _like(simulated: Array, measured: Array, name: str) -> Array:
-    """A heading that was unwrapped for the simulation is brought back to the turn of the log."""
+def _wrapped_like(simulated: Array, measured: Array, name: str) -> Array:
+    """A simulated angle, wrapped as the measured one."""
     if UNITS[name] != "rad":
         return simulated
     turns = np.nan_to_num(np.round((simulated - measured) / (2 * np.pi)))
-    there = np.asarray(simulated - 2 * np.pi * turns)
-    there[1:][np.diff(turns) != 0] = np.nan  # a line across the picture would be no motion
-    return there
+    wrapped = np.asarray(simulated - 2 * np.pi * turns)
+    wrapped[1:][np.diff(turns) != 0] = np.nan  # no line across the picture
+    return wrapped
 
 
 def curves(before: Comparison, after: Comparison | None = None) -> list[ResidualCurve]:
@@ -151,19 +144,20 @@ def curves(before: Comparison, after: Comparison | None = None) -> list[Residual
     found = []
     for i, dof in enumerate(before.result.degrees_of_freedom):
         unit = FORCE_UNITS[before.vehicle.dof_indices[i]]
-        own = sorted((p for p in before.profiles if p.degree_of_freedom == dof), key=telling, reverse=True)
-        found += [ResidualCurve(unit, p, other.get((dof, p.variable))) for p in own]
+        profiles = (p for p in before.profiles if p.degree_of_freedom == dof)
+        ordered = sorted(profiles, key=informativeness, reverse=True)
+        found += [ResidualCurve(unit, p, other.get((dof, p.variable))) for p in ordered]
     return found
 
 
-def telling(profile: Profile) -> float:
+def informativeness(profile: Profile) -> float:
     """Mean square of the binned residual force over its standard error: about 1 where it is noise."""
-    sure = profile.error > 0
-    return float(np.mean((profile.force[sure] / profile.error[sure]) ** 2)) if sure.any() else 0.0
+    valid = profile.error > 0
+    return float(np.mean((profile.force[valid] / profile.error[valid]) ** 2)) if valid.any() else 0.0
 
 
 def budgets(comparison: Comparison) -> list[Budget]:
-    """Rms force of every effect by degree of freedom; the residual is called unexplained."""
+    """Rms force of every effect by degree of freedom; that of the residual is named unexplained."""
     result = comparison.result
     return [
         Budget(
@@ -209,9 +203,9 @@ def report_data(
     names: tuple[str, str] = ("model as given", "with what is missing"),
     given: Vehicle | None = None,
 ) -> ReportData:
-    """What a report shows of a model, and of the same model with something added, on the same logs.
+    """Results of a model, and of the same model with something added, on the same logs.
 
-    Without `after` one model is shown; pictures call the two by their `names`; `given` is the unfitted model.
+    `names` are those of the two in pictures; `given` is the unfitted model.
     """
     result = before.result
     both = [c for c in (before, after) if c is not None]
@@ -243,7 +237,7 @@ def versions() -> dict[str, str]:
 
 
 def _velocities_first(run: RunTraces) -> RunTraces:
-    """The fit looks at the velocities; the pose drifts in a free run."""
+    """The velocities come first, which are fitted; the pose drifts in a free run."""
     return replace(run, traces=tuple(sorted(run.traces, key=lambda t: t.channel not in VELOCITY)))
 
 
@@ -259,7 +253,7 @@ def _fits(before: Comparison, after: Comparison | None) -> Listing:
     return Listing(("channel", "noise", ahead, "free-run fit (100 % is perfect)"), tuple(rows))
 
 
-# --- the page, in words for somebody who has to decide something ----------------------------------
+# --- the page -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Meaning:
     """A verdict explained: its title, what it means, and what it does not."""
@@ -358,15 +352,15 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         in_part_means=IN_PART_MEANS,
         runs=shown.runs[:_MOST_RUNS],
         units=MOTION_UNITS,
-        helping=[c for c in diagnosis.ranking if helps(c, diagnosis)],
-        idle=[c for c in diagnosis.ranking if not helps(c, diagnosis)],
+        influential=[c for c in diagnosis.ranking if has_influence(c, diagnosis)],
+        without_influence=[c for c in diagnosis.ranking if not has_influence(c, diagnosis)],
         left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
         pictures=_Pictures(diagnosis, shown),
     )
 
 
-def helps(candidate: Ranked, diagnosis: Diagnosis) -> bool:
-    """Whether a candidate has an influence, in the search or in the verdict; the others are collapsed."""
+def has_influence(candidate: Ranked, diagnosis: Diagnosis) -> bool:
+    """Whether a candidate matters in the search or in the verdict; the others are collapsed."""
     named = {*diagnosis.effects, *(e for s in diagnosis.indistinguishable for e in s.effects)}
     return bool(candidate.parameters) or candidate.significant or candidate.effect in named
 
@@ -381,7 +375,7 @@ def _template() -> Template:
         percent,
         prior_text,
         quantity,
-        sure_in_words,
+        significance_text,
         with_error,
         unit_text,
     ]
@@ -390,7 +384,7 @@ def _template() -> Template:
 
 
 class _Pictures:
-    """The pictures as the template asks for them; each gets ids that no other has."""
+    """The pictures of the template, each with unique ids."""
 
     def __init__(self, diagnosis: Diagnosis, data: ReportData) -> None:
         self._diagnosis, self._data = diagnosis, data
@@ -402,7 +396,7 @@ class _Pictures:
 
     def ranking(self) -> Markup:
         d = self._diagnosis
-        return self._inline(ranking([c for c in d.ranking if helps(c, d)]))
+        return self._inline(ranking([c for c in d.ranking if has_influence(c, d)]))
 
     def maps(self) -> Iterator[Markup]:
         return (self._inline(error_map(m, self._names)) for m in self._data.maps if m.regimes)

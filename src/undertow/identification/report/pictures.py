@@ -55,11 +55,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class RunTraces:
-    """All channels of one run; `how` says how they were simulated."""
+    """All channels of one run; `caption` says how they were simulated."""
 
     run: str
     traces: tuple[Trace, ...]
-    how: str = ""
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ class ReportData:
 # --- pictures -------------------------------------------------------------------------------------
 _MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
-_LOST = 3.0  # usual times between samples without one that break a line
-# Spans of the measurement by which a simulation may leave it before it is cut off.
+_GAP = 3.0  # times the median interval between samples: a longer one breaks the line
+# A simulation is cut off where it is outside the range of the measurement by more than this many times it.
 _SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
 _HEAT = colormaps["YlOrRd"].resampled(40)
@@ -167,8 +167,8 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
         axis = axes[0, 0]
         errors = [step.error for step in steps]
         axis.axhline(1.0, color=FLOOR, linestyle="--")
-        beside = axis.get_yaxis_transform()
-        axis.text(0.01, 1.02, "noise floor", color=FLOOR, ha="left", va="bottom", transform=beside)
+        above = {"ha": "left", "va": "bottom", "transform": axis.get_yaxis_transform()}
+        axis.text(0.01, 1.02, "noise floor", color=FLOOR, **above)
         axis.plot(range(len(errors)), errors, color=FAINT, zorder=1)
         colours = [BEFORE, *[AFTER] * (len(errors) - 1)]
         axis.scatter(range(len(errors)), errors, color=colours[: len(errors)], s=64, zorder=2)
@@ -280,7 +280,7 @@ def _heat(axis: Any, table: Array, errors: ErrorMap) -> Any:
 
 
 def measured_vs_simulated(run: RunTraces, names: tuple[str, str] = ("before", "after")) -> Figure:
-    """Every channel of a run: the measurement, and what the models make of the same commands."""
+    """Every channel of a run: the measurement, and the models with the same commands."""
     with look():
         picture, axes = figure(0.8 + 1.45 * len(run.traces), max(len(run.traces), 1), sharex=True)
         for axis, trace in zip(axes[:, 0], run.traces, strict=False):
@@ -298,29 +298,29 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
         (trace.before, plain(names[0]), {"color": BEFORE, "linestyle": (0, (4, 2))}),
         (trace.after, plain(names[1]), {"color": AFTER}),
     ]
-    for values, label, how in lines:
+    for values, label, style in lines:
         if values is not None:
-            dots = {"marker": ".", "markersize": 2.0} if _alone(values) else {}
-            shown = _reports(trace.t, values) if values is trace.measured else (trace.t, values)
-            axis.plot(*decimated(*shown), label=label, **how, **dots)
+            dots = {"marker": ".", "markersize": 2.0} if _has_isolated_samples(values) else {}
+            shown = _without_blanks(trace.t, values) if values is trace.measured else (trace.t, values)
+            axis.plot(*decimated(*shown), label=label, **style, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
     axis.set_ylabel(with_unit(trace.channel, trace.unit))
     axis.grid()
 
 
-def _alone(values: Array) -> bool:
+def _has_isolated_samples(values: Array) -> bool:
     """Whether samples have no neighbour that a line could go to, as those of a sensor slower than its log."""
     there = np.concatenate([[False], np.isfinite(values), [False]])
     return bool(np.any(there[1:-1] & ~there[:-2] & ~there[2:]))
 
 
-def _reports(t: Array, values: Array) -> tuple[Array, Array]:
+def _without_blanks(t: Array, values: Array) -> tuple[Array, Array]:
     """Samples without the blank rows between them; the line breaks where samples are lost."""
     at = np.flatnonzero(np.isfinite(values))
     apart = np.diff(t[at])
-    lost = np.flatnonzero(apart > _LOST * (np.median(apart) if len(apart) else 0.0)) + 1
-    return np.insert(t[at], lost, t[at][lost]), np.insert(values[at], lost, np.nan)
+    gaps = np.flatnonzero(apart > _GAP * (np.median(apart) if len(apart) else 0.0)) + 1
+    return np.insert(t[at], gaps, t[at][gaps]), np.insert(values[at], gaps, np.nan)
 
 
 def _limits(axis: Any, trace: Trace) -> None:
@@ -372,8 +372,8 @@ def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None
     stated = curve.before
     for one, name, colour, marker in ((stated, names[0], BEFORE, "o"), (curve.after, names[1], AFTER, "s")):
         if one is not None:
-            how = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.0, "capsize": 2}
-            axis.errorbar(stated.centre, one.force, yerr=1.96 * one.error, label=plain(name), **how)
+            style = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.0, "capsize": 2}
+            axis.errorbar(stated.centre, one.force, yerr=1.96 * one.error, label=plain(name), **style)
     axis.locator_params(axis="x", nbins=4)
     axis.set_xlabel(with_unit(stated.variable, stated.unit))
     axis.set_ylabel(with_unit(f"{stated.degree_of_freedom} residual", curve.unit))

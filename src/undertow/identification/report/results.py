@@ -19,7 +19,7 @@ from undertow.identification.findings import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
-from .sentences import as_stated, changes, rises, shown, step_changes, useless
+from .sentences import as_stated, changes, percentage, rises, step_changes, useless
 
 
 class FittedParameter(ResultTable):
@@ -65,7 +65,7 @@ class FitResult(ResultTable):
     parameters: list[FittedParameter]
     by_run: list[ValuesByRun] = Field(default_factory=list)
     condition: float | None
-    # What held the fit where the data do not.
+    # What determined the values where the data do not.
     notes: list[str] = Field(default_factory=list)
     # Doubts about values, by parameter: not identifiable, at a bound, far from the prior.
     remarks: dict[str, list[str]] = Field(default_factory=dict)
@@ -77,9 +77,9 @@ class FitResult(ResultTable):
         """Whether the refitted model predicts worse, on average over the horizons and in digits shown."""
         pairs = [(before, self.ahead_after[h]) for h, before in self.ahead_before.items()]
         columns = zip(*pairs, strict=True)
-        before, after = (fmean(log(inf if e is None else max(e, 1e-12)) for e in own) for own in columns)
-        seen = any(rises(*pair) for pair in pairs)
-        return seen and (before < after - log1p(NO_WORSE) or (isfinite(before) and not isfinite(after)))
+        before, after = (fmean(log(inf if e is None else max(e, 1e-12)) for e in c) for c in columns)
+        visible = any(rises(*pair) for pair in pairs)
+        return visible and (before < after - log1p(NO_WORSE) or (isfinite(before) and not isfinite(after)))
 
     def sentence(self) -> str:
         """How the fit changes the error, worded by the numbers."""
@@ -87,8 +87,8 @@ class FitResult(ResultTable):
             {h: e for h, e in ahead.items() if e is not None}
             for ahead in (self.ahead_before, self.ahead_after)
         )
-        said = f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
-        return f"{said} {useless({c.velocity: c.after for c in self.channels})}".strip()
+        change = f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
+        return f"{change} {useless({c.velocity: c.after for c in self.channels})}".strip()
 
 
 def channel_errors(before: Mapping[str, float], after: Mapping[str, float]) -> list[ChannelError]:
@@ -142,10 +142,10 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 def addition_sentence(addition: Addition) -> str:
     """How an effect and the file's own values change the error, and whether the model is useful."""
     stated = as_stated(addition.given, addition.after, f"refitted with {addition.effect}")
-    return f"{_what_it_does(addition)} {stated} {useless(addition.after.channels)}".strip()
+    return f"{_change(addition)} {stated} {useless(addition.after.channels)}".strip()
 
 
-def _what_it_does(addition: Addition) -> str:
+def _change(addition: Addition) -> str:
     ahead = step_changes(addition.before, addition.after)
     change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
     if addition.helps:
@@ -164,6 +164,6 @@ def _what_it_does(addition: Addition) -> str:
 
 def _verb(before: float, after: float) -> str:
     """How one error changes, in words that follow from the digits shown."""
-    if rises(before, after) or rises(after, before):
-        return f"{'rises' if rises(before, after) else 'falls'} from {shown(before)} to {shown(after)} %"
-    return f"stays at {shown(after)} %"
+    verb = "rises" if rises(before, after) else "falls" if rises(after, before) else ""
+    change = f"{verb} from {percentage(before)} to" if verb else "stays at"
+    return f"{change} {percentage(after)} %"

@@ -30,45 +30,39 @@ from undertow.identification.diagnosis.associations import (
     without_bars,
 )
 from undertow.identification.diagnosis.residual import COMPARED_BETWEEN_RUNS
-from undertow.identification.diagnosis.result import (
-    BetweenRuns,
-    Dependence,
-    Diagnosis,
-    Remaining,
-    Spectrum,
-)
+from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Diagnosis, Remaining, Spectrum
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.effect import Effect
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, signal_units, signals
 
 
 @dataclass(frozen=True)
-class InTime:
+class Timing:
     """A parameter of a time-dependent force: an angular frequency, or the time of a step.
 
-    `near` is how far from `value` a fit begins as well: half of what the logs can tell apart. `sharpness` is
-    the time of a step over how long it takes.
+    `resolution` is half of what the logs can tell apart: fits also start that far from `value`. `sharpness`
+    is the time of a step over its duration.
     """
 
     name: str
     unit: str
     about: str
     value: float
-    near: float
+    resolution: float
     bounds: tuple[float, float]
     sharpness: float = 0.0
 
     @property
     def starts(self) -> tuple[float, ...]:
-        """Where a fit begins, within the bounds."""
+        """Starting points of a fit, within the bounds."""
         low, high = self.bounds
         inner = 0.01 * (high - low)
-        near = (self.value - self.near, self.value, self.value + self.near)
-        return tuple(min(max(x, low + inner), high - inner) for x in near)
+        points = (self.value - self.resolution, self.value, self.value + self.resolution)
+        return tuple(min(max(x, low + inner), high - inner) for x in points)
 
     def rounded(self, values: Sequence[float]) -> str:
-        """Values as they are written, with the digits that tell `near` apart."""
-        digits = max(0, ceil(3.0 - log10(self.near)))
+        """Values with the digits that the resolution needs, as text."""
+        digits = max(0, ceil(3.0 - log10(self.resolution)))
         return ", ".join(f"{x:.{digits}f}" for x in values)
 
 
@@ -77,8 +71,8 @@ class Coefficient:
     """One term of a force: a parameter times factors.
 
     `row` is which of the six forces and moments it is part of, `column` the factors as the diagnosis writes
-    them; with an angular frequency `in_time` that the term swings with, ``("cos",)`` or ``("sin",)``. With
-    `per_run` the parameter has a value in every run.
+    them: ``("cos",)`` or ``("sin",)`` for an oscillation with the angular frequency `timing`. With `per_run`
+    the parameter has a value in every run.
     """
 
     name: str
@@ -86,7 +80,7 @@ class Coefficient:
     about: str
     row: int
     column: Column
-    in_time: InTime | None = None
+    timing: Timing | None = None
     per_run: bool = False
 
 
@@ -119,25 +113,25 @@ def example() -> Suggestion:
 
 
 def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
-    """Terms for all that a diagnosis, read from the file `source`, found a residual to correlate with."""
+    """Terms for all that the residuals of a diagnosis, read from the file `source`, correlate with."""
     terms = terms_of(diagnosis.remaining, max((r.duration for r in diagnosis.runs), default=1.0))
     if not terms:
         raise UndertowError(
             f"'{source}' has no term that an effect could state; its verdict is {diagnosis.verdict}: leave "
             "--from out for an empty one"
         )
-    described = [left for left in diagnosis.remaining if _is_described(left)]
+    described = [force for force in diagnosis.remaining if _is_described(force)]
     logs = ", ".join(r.name for r in diagnosis.runs)
     added = f" with {listed(diagnosis.effects)} added" if diagnosis.effects else ""
-    labels = dict.fromkeys(label for left in described for label in _labels(left))
+    labels = dict.fromkeys(label for force in described for label in _labels(force))
     return Suggestion(
         about=f"Force that varies with {listed(labels)}.",
         origin=(
             f"Suggested by 'undertow effects new' from {source}: vehicle {diagnosis.vehicle}{added}, "
             f"logs {logs}, undertow {diagnosis.undertow}. On the validation data:",
-            *(f"- {left.summary}" for left in described),
+            *(f"- {force.summary}" for force in described),
         ),
-        signature="; ".join(left.summary for left in described),
+        signature="; ".join(force.summary for force in described),
         reference=f"residual forces in {source}, none yet: name the book or paper that the physics follows",
         terms=terms,
     )
@@ -145,7 +139,7 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
 
 def effect_of(remaining: Sequence[Remaining], seconds: float) -> type[Effect]:
     """The effect that `undertow effects new` would write of residual forces, of logs as long as `seconds`."""
-    labels = listed([*dict.fromkeys(label for left in remaining for label in _labels(left))])
+    labels = listed([*dict.fromkeys(label for force in remaining for label in _labels(force))])
     words = ("a force that varies with " + labels, (), labels, "residual forces, none yet")
     with TemporaryDirectory() as folder:
         file = Path(folder) / "what_remains.py"
@@ -153,34 +147,34 @@ def effect_of(remaining: Sequence[Remaining], seconds: float) -> type[Effect]:
         return load_effects(file)[0]
 
 
-def _is_described(left: Remaining) -> bool:
-    return bool(left.depends_on or left.spectrum or left.between_runs)
+def _is_described(force: Remaining) -> bool:
+    return bool(force.depends_on or force.spectrum or force.between_runs)
 
 
-def _labels(left: Remaining) -> Iterator[str]:
-    yield from (found.term for found in left.depends_on)
-    if left.spectrum is not None:
-        yield f"a period of {left.spectrum.period:.3g} s"
-    if left.between_runs:
+def _labels(force: Remaining) -> Iterator[str]:
+    yield from (found.term for found in force.depends_on)
+    if force.spectrum is not None:
+        yield f"a period of {force.spectrum.period:.3g} s"
+    if force.between_runs:
         yield "the run"
 
 
 # --- terms ------------------------------------------------------------------------------------
 def terms_of(remaining: Iterable[Remaining], seconds: float) -> tuple[Coefficient, ...]:
     """Terms for all that residual forces were found to correlate with, of logs as long as `seconds`."""
-    return tuple(_distinct([t for left in remaining for t in _terms(left, seconds)]))
+    return tuple(_distinct([t for force in remaining for t in _terms(force, seconds)]))
 
 
-def _terms(left: Remaining, seconds: float) -> Iterator[Coefficient]:
-    if left.degree_of_freedom not in DOFS:
-        raise UndertowError(f"'{left.degree_of_freedom}' is not a degree of freedom: is this a diagnosis?")
-    row = DOFS.index(left.degree_of_freedom)
-    by_run = [t for found in left.between_runs for t in _differing(found, row)]
+def _terms(force: Remaining, seconds: float) -> Iterator[Coefficient]:
+    if force.degree_of_freedom not in DOFS:
+        raise UndertowError(f"'{force.degree_of_freedom}' is not a degree of freedom: is this a diagnosis?")
+    row = DOFS.index(force.degree_of_freedom)
+    by_run = [t for found in force.between_runs for t in _between_runs(found, row)]
     known = {t.column for t in by_run}
-    for found in left.depends_on:
+    for found in force.depends_on:
         yield from (t for t in _dependent(found, row, seconds) if t.column not in known)
-    if left.spectrum is not None:
-        yield from _periodic(left.spectrum, row, seconds)
+    if force.spectrum is not None:
+        yield from _periodic(force.spectrum, row, seconds)
     yield from by_run
 
 
@@ -194,17 +188,17 @@ def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coe
         about = f"{what} {per} {label_of(column)}" if column else what
         unit = coefficient_unit(FORCE_UNITS[row], column)
         found = f"{about}; found {value:.3g} with standard error {error:.1g}"
-        in_time = None if time is None else _step(time, FORCE[row], seconds)
-        yield Coefficient(_name(FORCE[row], column), unit, found, row, column, in_time)
+        timing = None if time is None else _step(time, FORCE[row], seconds)
+        yield Coefficient(_name(FORCE[row], column), unit, found, row, column, timing)
 
 
-def _step(found: str, force: str, seconds: float) -> InTime:
-    """When a step is, which a fit finds more closely than the times that were tried lie apart."""
+def _step(found: str, force: str, seconds: float) -> Timing:
+    """Time of a step, between the neighbours of the one that fits best among those examined."""
     time, apart = float(found), seconds / SETTINGS.step_times
     low, high = sorted((0.1 * time, time + copysign(apart, time)))
     bounds = max(low, time - apart), min(high, time + apart)
     name = f"t_{force}_{identifier(found)}"
-    return InTime(
+    return Timing(
         name, "s", "time of the step", time, 0.5 * apart, bounds, abs(time) / (SETTINGS.step_width * apart)
     )
 
@@ -220,17 +214,17 @@ def _periodic(spectrum: Spectrum, row: int, seconds: float) -> Iterator[Coeffici
     if not (isfinite(spectrum.period) and spectrum.period > 0):
         raise UndertowError(f"a period of {spectrum.period} s is impossible: is this a diagnosis?")
     omega = 2 * pi / spectrum.period
-    bounds, near = (0.5 * omega, 2 * omega), pi / (2 * seconds)
-    in_time = InTime(f"omega_{FORCE[row]}", "rad/s", "angular frequency", omega, near, bounds)
+    name, bounds = f"omega_{FORCE[row]}", (0.5 * omega, 2 * omega)
+    timing = Timing(name, "rad/s", "angular frequency", omega, pi / (2 * seconds), bounds)
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     for part in ("cos", "sin"):
         about = f"{what}, {part} part; found an amplitude of {spectrum.amplitude:.3g}"
         name = f"{FORCE[row]}_{part}"
-        yield Coefficient(name, FORCE_UNITS[row], about, row, (part,), in_time, not spectrum.in_step)
+        yield Coefficient(name, FORCE_UNITS[row], about, row, (part,), timing, not spectrum.in_step)
 
 
-def _differing(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
-    """A coefficient with a value in every run for each column that a force differs by between runs."""
+def _between_runs(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
+    """A coefficient per run for each column in which a force differs between runs."""
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     for column in COMPARED_BETWEEN_RUNS.get(found.of, ()):
         about = f"{what} per {label_of(column)}" if column else what
@@ -240,11 +234,11 @@ def _differing(found: BetweenRuns, row: int) -> Iterator[Coefficient]:
 
 def _name(force: str, column: Column) -> str:
     """Name of a coefficient: ``X_absr_u``."""
-    parts = [_in_name(f) for f in column] or ["constant"]
+    parts = [_name_part(f) for f in column] or ["constant"]
     return f"{force}_{'_'.join(parts)}"
 
 
-def _in_name(factor: str) -> str:
+def _name_part(factor: str) -> str:
     if (time := step_time((factor,))) is not None:
         return f"step_{identifier(time)}"
     size = "abs" if factor.startswith("|") else ""
@@ -253,7 +247,7 @@ def _in_name(factor: str) -> str:
 
 
 def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
-    """Names that nothing else has, neither in the catalogue nor in the file."""
+    """Terms with names that are unique, in the catalogue and in the file."""
     used: set[str] = set()
     for term in terms:
         name, count = term.name, 2
@@ -265,18 +259,18 @@ def _distinct(terms: list[Coefficient]) -> Iterator[Coefficient]:
 
 # --- words ----------------------------------------------------------------------------------------
 _ID = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", re.ASCII)
-_LONGEST = 60
-# Names that the file needs for something else.
+_LONGEST_ID = 60
+# Names that the file uses otherwise.
 _RESERVED = {"Wrench", "Parameter", "Signals", "UndertowError"}
 _LONGEST_TEXT = 400
 
 
 def check_id(effect_id: str) -> None:
     """Refuse an id that is not in snake case, is a word of Python, or has an effect of the catalogue."""
-    if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST or keyword.iskeyword(effect_id):
+    if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST_ID or keyword.iskeyword(effect_id):
         raise UndertowError(
-            f"'{effect_id[: 2 * _LONGEST]}' cannot be an id: write small letters, digits and single "
-            f"underscores, at most {_LONGEST} of them, such as 'turning_drag'"
+            f"'{effect_id[: 2 * _LONGEST_ID]}' cannot be an id: write small letters, digits and single "
+            f"underscores, at most {_LONGEST_ID} of them, such as 'turning_drag'"
         )
     if effect_id in catalogue():
         raise UndertowError(f"effect '{effect_id}' is in the catalogue already: choose another id")
@@ -292,19 +286,19 @@ def class_name(effect_id: str) -> str:
 def taken_names() -> frozenset[str]:
     """Names of signals, and of parameters and states of the catalogue."""
     specimens = [cls.specimen() for cls in catalogue().values()]
-    own = {n for e in specimens for n in (*(p.name for p in e.parameters), *e.states)}
-    return frozenset(own | {str(x) for x in signal_units(signals())})
+    names = {n for e in specimens for n in (*(p.name for p in e.parameters), *e.states)}
+    return frozenset(names | {str(x) for x in signal_units(signals())})
 
 
-def plain(text: str) -> str:
-    """Text that may stand in a docstring: printable, on one line, without quotes and backslashes."""
+def safe_text(text: str) -> str:
+    """Text that is safe in a docstring: printable, on one line, without quotes and backslashes."""
     line = " ".join(text.split()).replace('"', "'").replace("\\", "/")
     return "".join(c if c.isprintable() else "?" for c in line)[:_LONGEST_TEXT]
 
 
 def literal(text: str) -> str:
     """A text as a Python literal in double quotes."""
-    return json.dumps(plain(text), ensure_ascii=False)
+    return json.dumps(safe_text(text), ensure_ascii=False)
 
 
 def identifier(text: str) -> str:
@@ -323,7 +317,7 @@ def effect_file(effect_id: str, file: str, suggestion: Suggestion) -> str:
 
 @cache
 def _template() -> Template:
-    # Python, not HTML: every text is made harmless by `plain`.
+    # Python, not HTML: `safe_text` escapes every text.
     return templates("undertow.identification.report").get_template("effect.txt")
 
 
@@ -333,14 +327,14 @@ def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any
     rows = [[t for t in suggestion.terms if t.row == i] for i in range(6)]
     return {
         "id": effect_id,
-        "file": plain(file),
+        "file": safe_text(file),
         "cls": class_name(effect_id),
         "about": _wrapped(suggestion.about, "    ").strip(),
         "origin": [_wrapped(line, "    ") for line in suggestion.origin],
         "reference": _split(suggestion.reference),
         "signature": _split(suggestion.signature),
         "parameters": [(t.name, literal(t.unit), _split(t.about), t.per_run) for t in suggestion.terms],
-        "in_time": list({t.in_time.name: t.in_time for t in suggestion.terms if t.in_time}.values()),
+        "timings": list({t.timing.name: t.timing for t in suggestion.terms if t.timing}.values()),
         "commands": [literal(c) for c in commands if not _is_force(c)],
         "signals": list(_signals(suggestion.terms, variables)),
         "forces": [(DOFS[i], [_code(t, variables) for t in row]) for i, row in enumerate(rows) if row],
@@ -350,12 +344,12 @@ def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any
 
 def _wrapped(text: str, indent: str) -> str:
     more = f"{indent}  " if text.startswith("- ") else indent
-    return textwrap.fill(plain(text), _WIDTH, initial_indent=indent, subsequent_indent=more)
+    return textwrap.fill(safe_text(text), _WIDTH, initial_indent=indent, subsequent_indent=more)
 
 
 def _split(text: str) -> list[str]:
     """A long text as literals that Python joins."""
-    lines = textwrap.wrap(plain(text), _WIDTH - 20, drop_whitespace=False) or [""]
+    lines = textwrap.wrap(safe_text(text), _WIDTH - 20, drop_whitespace=False) or [""]
     return [f'"{line}"' for line in lines]  # blanks at the ends are kept
 
 
@@ -370,7 +364,7 @@ def _is_force(command: str) -> bool:
 
 
 def _variables(commands: list[str]) -> dict[str, str]:
-    """What each command is called in the code."""
+    """The variable of each command in the code."""
     found: dict[str, str] = {}
     for i, name in enumerate(commands, start=1):
         short = identifier(name)
@@ -380,7 +374,7 @@ def _variables(commands: list[str]) -> dict[str, str]:
 
 
 def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Iterator[tuple[str, str]]:
-    """Names that the terms use, with what they stand for."""
+    """Names that the terms use, with their definitions."""
     names = {without_bars(m[3] if (m := WAVE.fullmatch(f)) else f) for t in terms for f in t.column}
     yield from ((n, f"s.nu_r[{i}]") for i, n in enumerate(VELOCITY) if n in names)
     yield from ((n, f"s.eta[{i}]") for i, n in enumerate(POSE) if n in names)
@@ -390,11 +384,11 @@ def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Itera
 
 
 def _code(term: Coefficient, variables: dict[str, str]) -> str:
-    if term.in_time is not None:
-        when = f"self.{term.in_time.name}"
-        if term.in_time.sharpness:
-            sharpness = f"{term.in_time.sharpness:.4g}"
-            # The sine of an arc tangent, x / sqrt(1 + x^2), feels its time from afar, as a tanh does not.
+    if term.timing is not None:
+        when = f"self.{term.timing.name}"
+        if term.timing.sharpness:
+            sharpness = f"{term.timing.sharpness:.4g}"
+            # x / sqrt(1 + x^2) has a slope in its time also far from the step, unlike tanh.
             step = f"(1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
             return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column[1:]), step])
         return f"self.{term.name} * sm.{term.column[0]}({when} * s.t)"

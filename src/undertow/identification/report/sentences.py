@@ -18,31 +18,31 @@ from undertow.model.symbols import DOFS, VELOCITY
 
 @dataclass(frozen=True)
 class CommandLine:
-    """The arguments of a command line, for the command that follows.
+    """The arguments of a command line, for the command to run next.
 
     vehicle: vehicle file, or the name of a bundled one.
     logs, holdout: logs that were fitted to, and those for validation.
     options: how the logs are read, such as ("--map", "log.toml").
-    written: the file with the result of a diagnosis as JSON, if one is written.
+    json_file: the file with the result of a diagnosis, if one is written.
     """
 
     vehicle: str = "VEHICLE"
     logs: tuple[str, ...] = ("LOG",)
     holdout: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
-    written: str = ""
+    json_file: str = ""
 
-    def fitting(self, words: Sequence[str], *more: str) -> str:
-        """A command that takes the vehicle and all logs."""
+    def with_holdout(self, words: Sequence[str], *more: str) -> str:
+        """A command with the vehicle, the logs and the validation logs."""
         holdout = ["--holdout", *self.holdout] if self.holdout else []
         return self._undertow([*words, self.vehicle, *self.logs, *holdout, *self.options, *more])
 
-    def looking(self, words: Sequence[str], *more: str) -> str:
-        """A command that takes the vehicle and the logs, with no difference between them."""
+    def on_logs(self, words: Sequence[str], *more: str) -> str:
+        """A command with the vehicle and all logs, without a distinction between them."""
         return self._undertow([*words, self.vehicle, *self.logs, *self.holdout, *self.options, *more])
 
-    def better(self, part: str) -> str:
-        """Name of a vehicle file that is made from the one given."""
+    def vehicle_file(self, part: str) -> str:
+        """Name of a vehicle file derived from this one."""
         return f"{PurePath(self.vehicle).stem}-{part}.toml"
 
     def _undertow(self, words: Iterable[str]) -> str:
@@ -50,8 +50,8 @@ class CommandLine:
 
 
 # --- errors, and how they change --------------------------------------------------------------------
-def shown(share: float | None, digits: int = 2) -> str:
-    """A share in per cent, without the sign; "diverging" where a simulation runs away."""
+def percentage(share: float | None, digits: int = 2) -> str:
+    """A share in per cent, without the unit; "diverging" where it is not finite."""
     if share is None or not isfinite(share):
         return "diverging"
     return f"{100 * share:.{_places(share, digits)}f}"
@@ -63,9 +63,9 @@ def _places(share: float, digits: int = 2) -> int:
 
 
 def rises(before: float | None, after: float | None) -> bool:
-    """Whether an error rises in the digits that are shown of it, and by more than their rounding."""
+    """Whether an error rises in the digits that are printed of it, and by more than their rounding."""
     low, high = (inf if share is None else share for share in (before, after))
-    if not isfinite(low) or shown(low) == shown(high):
+    if not isfinite(low) or percentage(low) == percentage(high):
         return False
     return not isfinite(high) or 100 * (high - low) >= 0.5 * 10.0 ** -_places(high)
 
@@ -79,9 +79,9 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
     horizons = _horizons([before, after])
     pairs = {h: (before.get(h), after.get(h)) for h in horizons}
     parts = [
-        _said("lowers", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*reversed(pair))]),
-        _said("raises", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*pair)]),
-        _said("leaves", [_still(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
+        _clause("lowers", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*reversed(pair))]),
+        _clause("raises", [_from_to(h, *pair) for h, pair in pairs.items() if rises(*pair)]),
+        _clause("leaves", [_at(h, a) for h, (b, a) in pairs.items() if not (rises(b, a) or rises(a, b))]),
     ]
     return listed([part for part in parts if part])
 
@@ -91,13 +91,13 @@ def step_changes(before: Step, after: Step) -> str:
 
     The position error is mentioned if it improves most: a sensor error may show in nothing else.
     """
-    said = [changes(before.ahead, after.ahead)]
+    parts = [changes(before.ahead, after.ahead)]
     of_velocities, _ = _longest_fall(before.ahead, after.ahead)
-    gained, horizon = _longest_fall(before.position, after.position)
-    if gained >= max(DEFAULT.worth, of_velocities):
+    fall, horizon = _longest_fall(before.position, after.position)
+    if fall >= max(DEFAULT.worth, of_velocities):
         sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
-        said.append(f"lowers the position error over {horizon} from {sizes} m")
-    return listed([part for part in said if part])
+        parts.append(f"lowers the position error over {horizon} from {sizes} m")
+    return listed([part for part in parts if part])
 
 
 def _longest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[float, str]:
@@ -110,13 +110,14 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
     """A sentence on velocities predicted worse than by no model at all; empty if there are none.
 
     `relative`: errors of predicted velocities as shares of their rms, None or infinite where they diverge. A
-    model of a vehicle that never moves has 1. `examined`: what the doctor has said of the logs already.
+    model of a vehicle that never moves has 1. `examined`: findings of the doctor on the logs.
     """
     worse = {n: e for n, e in relative.items() if e is None or not e <= 1.0}
     if not worse:
         return ""
     motions = listed([DOFS[VELOCITY.index(n)] for n in worse])
-    sizes = ", ".join(shown(e, 3) + ("" if e is None or not isfinite(e) else " %") for e in worse.values())
+    texts = [percentage(e, 3) for e in worse.values()]
+    sizes = ", ".join(t if t == "diverging" else f"{t} %" for t in texts)
     advice = "first check the signs of commands and axes (undertow doctor)"
     if examined and not any(f.severity == "mistake" for f in examined):
         advice = (
@@ -128,11 +129,11 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
     return f"Worse than no model at all in {motions} ({sizes}): {advice}."
 
 
-def sure_in_words(candidate: Ranked, false_alarms: float) -> str:
+def significance_text(candidate: Ranked, false_alarms: float) -> str:
     """Whether a candidate is significant, and by which criterion if not by its mean improvement.
 
-    Chance is judged by the signs of the fall in blocks of data, and by simulation; the interval beside it is
-    of the mean, which a few blocks may dominate. `false_alarms`: the chance below which the blocks decide.
+    The p-value is that of the signs of the fall in blocks of data, or of simulation; the interval is that of
+    the mean, which a few blocks may dominate. `false_alarms`: the p-value below which the blocks decide.
     """
     if not candidate.significant or candidate.interval[0] > 0.0:
         return candidate.sure
@@ -142,40 +143,40 @@ def sure_in_words(candidate: Ranked, false_alarms: float) -> str:
 
 
 def chance(p_value: float | None) -> str:
-    """A probability in per cent, with digits that resampling knows; empty for none."""
+    """A probability in per cent, with the digits that resampling determines; empty for none."""
     if p_value is None:
         return ""
-    return f"< {_KNOWN:.1%}".replace("%", " %") if p_value < _KNOWN else f"{100 * p_value:.1f} %"
+    return f"< {_SMALLEST:.1%}".replace("%", " %") if p_value < _SMALLEST else f"{100 * p_value:.1f} %"
 
 
-_KNOWN = 0.002  # smaller probabilities are not told apart: they come from a few thousand draws
+_SMALLEST = 0.002  # that a few thousand draws determine
 
 
 def errors(ahead: Mapping[str, float]) -> str:
     """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
-    return listed([f"{_article(h)} {_error(h)} of {shown(ahead.get(h))} %" for h in _horizons([ahead])])
+    return listed([f"{_article(h)} {_error(h)} of {percentage(ahead.get(h))} %" for h in _horizons([ahead])])
 
 
 def as_stated(given: Step, after: Step, changed: str) -> str:
     """A sentence on the error with the values of the vehicle file, and whether a changed model has less.
 
-    A refit may be worse on validation data than the file, so that falling below the refit means little.
+    A refit may be worse on validation data than the file: an improvement on the refit alone means little.
     """
     if not given.ahead:
         return "With the values of the vehicle file, the model diverges."
     better = any(rises(after.ahead.get(h), given.ahead[h]) for h in _horizons([given.ahead]))
-    than = "" if better else f"; {changed}, it predicts no better"
-    return f"With the values of the vehicle file, the model has {errors(given.ahead)}{than}."
+    doubt = "" if better else f"; {changed}, it predicts no better"
+    return f"With the values of the vehicle file, the model has {errors(given.ahead)}{doubt}."
 
 
 def refit_is_worse(stated: Mapping[str, float], refitted: Mapping[str, float], times: float) -> str:
-    """That a refit predicts worse than the vehicle file over every horizon, by so many times; else empty."""
-    there = {h: e for h, e in stated.items() if isfinite(e)}
-    if not there or any(refitted[h] <= times * e for h, e in there.items()):
+    """A sentence where a refit has `times` the error of the vehicle file over every horizon; else empty."""
+    finite = {h: e for h, e in stated.items() if isfinite(e)}
+    if not finite or any(refitted[h] <= times * e for h, e in finite.items()):
         return ""
     return (
         "The refitted model predicts worse on validation data than the values of the vehicle file: "
-        f"{errors(there)} as stated, {errors(refitted)} refitted. The logs differ in ways that the model "
+        f"{errors(finite)} as stated, {errors(refitted)} refitted. The logs differ in ways that the model "
         "cannot represent: estimate fewer parameters, state how well they are known (sigma), or fit to "
         "more runs."
     )
@@ -196,15 +197,16 @@ def _error(horizon: str) -> str:
 
 
 def _from_to(horizon: str, before: float | None, after: float | None) -> str:
-    end = "" if shown(after) == "diverging" else " %"
-    return f"{_error(horizon)} from {shown(before)} to {shown(after)}{end}"
+    end = "" if percentage(after) == "diverging" else " %"
+    return f"{_error(horizon)} from {percentage(before)} to {percentage(after)}{end}"
 
 
-def _still(horizon: str, share: float | None) -> str:
-    return f"{_error(horizon)} " + ("diverging" if shown(share) == "diverging" else f"at {shown(share)} %")
+def _at(horizon: str, share: float | None) -> str:
+    size = percentage(share)
+    return f"{_error(horizon)} {size if size == 'diverging' else f'at {size} %'}"
 
 
-def _said(verb: str, parts: Sequence[str]) -> str:
+def _clause(verb: str, parts: Sequence[str]) -> str:
     return f"{verb} {listed([f'the {part}' for part in parts])}" if parts else ""
 
 
@@ -216,13 +218,13 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
     parts = (
         useless(diagnosis.last_step.channels, diagnosis.doctor),
         first_sentence(diagnosis).replace(" %", " % of the motion", 1),
-        _beside_the_first(diagnosis.headline),
+        _rest_of_headline(diagnosis.headline),
     )
     return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
 
 
-def _beside_the_first(headline: str) -> str:
-    """The part of a verdict that the first sentence does not contain."""
+def _rest_of_headline(headline: str) -> str:
+    """The headline without what the first sentence contains already."""
     if headline == NO_EVIDENCE:
         return ""
     text = headline.removeprefix("Unexplained: ")
@@ -232,10 +234,10 @@ def _beside_the_first(headline: str) -> str:
 
 def first_sentence(diagnosis: Diagnosis) -> str:
     """The result in terms of prediction errors on the validation data, and what can be done about it."""
-    judged = f"on {_judged_on(diagnosis)}"
-    errors_now = errors(diagnosis.last_step.ahead)
-    left = f"the refitted model has {errors_now} {judged}" if errors_now else "the refitted model fails"
-    change = f"{_adding(diagnosis)} {_change(diagnosis)} {judged}"
+    on_validation = f"on {_validation_data(diagnosis)}"
+    now = errors(diagnosis.last_step.ahead)
+    refitted = f"the refitted model has {now} {on_validation}" if now else "the refitted model fails"
+    change = f"{_adding(diagnosis)} {_change(diagnosis)} {on_validation}"
     helping = listed(diagnosis.helps)
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
     disturbance = "; the rest is sensor noise and a disturbance that no model of these signals can predict"
@@ -254,16 +256,16 @@ def first_sentence(diagnosis: Diagnosis) -> str:
         )
     )
     sentences: dict[str, str] = {
-        "adequate": f"These logs show nothing missing: {left}{use}.",
+        "adequate": f"These logs show nothing missing: {refitted}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {_sets(diagnosis)} would "
         f"achieve the same, or most of it{apart}.",
         "helps_prediction": f"{change}, but {not_the_cause}",
-        "not_identifiable": f"Something is missing, but these logs do not say what: {left}; record a run "
+        "not_identifiable": f"Something is missing, but these logs do not say what: {refitted}; record a run "
         "with different motions.",
     }
-    unexplained = _too_short(diagnosis, left) or (
-        f"No effect in the catalogue explains what is missing: {left}; {_where_to_look(diagnosis)}."
+    unexplained = _only_disturbance(diagnosis, refitted) or (
+        f"No effect in the catalogue explains what is missing: {refitted}; {_where_to_look(diagnosis)}."
     )
     freed = diagnosis.verdict == "adequate" and diagnosis.freed
     return (
@@ -277,49 +279,50 @@ def _separable(diagnosis: Diagnosis) -> bool:
 
 
 def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = True) -> str:
-    """The command that does what the first sentence says, with the files of this one.
+    """The command that follows from the first sentence, with the files of this one.
 
     plannable: whether a manoeuvre can be planned, with commands that move the vehicle.
     """
-    # What only helps to predict is added one by one: the first may be enough.
+    # Effects that only improve predictions are added one by one: the first may suffice.
     effects, freed = diagnosis.effects or diagnosis.helps[:1], diagnosis.freed
     told_apart = plannable and diagnosis.indistinguishable and _separable(diagnosis)
     if diagnosis.verdict == "indistinguishable" and told_apart:
         between = ",".join(diagnosis.indistinguishable[0].effects)
-        return line.looking(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
+        return line.on_logs(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
     if len(effects) == 1 and not freed:
-        return line.fitting(["add", effects[0]], "--out", line.better(effects[0]))
+        return line.with_holdout(["add", effects[0]], "--out", line.vehicle_file(effects[0]))
     if effects or freed:
-        return line.fitting(["diagnose"], "--apply", line.better("better" if effects else "fitted"))
+        improved = line.vehicle_file("better" if effects else "fitted")
+        return line.with_holdout(["diagnose"], "--apply", improved)
     if diagnosis.verdict == "adequate":
-        return line.fitting(["fit"], "--out", line.better("fitted"))
-    if _terms(diagnosis):
-        return _made_of_what_remains(line)
+        return line.with_holdout(["fit"], "--out", line.vehicle_file("fitted"))
+    if _has_terms(diagnosis):
+        return _effect_from_residual(line)
     if diagnosis.verdict == "not_identifiable" and plannable:
-        return line.looking(["plan"], "--out", "plan.csv")
+        return line.on_logs(["plan"], "--out", "plan.csv")
     reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
-    return replace(line, options=reading).looking(["doctor"])
+    return replace(line, options=reading).on_logs(["doctor"])
 
 
-def _made_of_what_remains(line: CommandLine) -> str:
+def _effect_from_residual(line: CommandLine) -> str:
     make = "undertow effects new my_force --from "
-    if line.written:
-        return make + shlex.quote(line.written)
-    return f"{line.fitting(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
+    if line.json_file:
+        return make + shlex.quote(line.json_file)
+    return f"{line.with_holdout(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
 
 
-def _judged_on(diagnosis: Diagnosis) -> str:
+def _validation_data(diagnosis: Diagnosis) -> str:
     whole = any(run.role == "holdout" for run in diagnosis.runs)
     return "validation runs" if whole else "segments of the logs that were not fitted"
 
 
-def _taken(diagnosis: Diagnosis) -> list[str]:
+def _effects_mentioned(diagnosis: Diagnosis) -> list[str]:
     """The effects of the first sentence: those named, else those that improve predictions."""
     return diagnosis.effects or diagnosis.helps
 
 
 def _adding(diagnosis: Diagnosis) -> str:
-    names = listed(_taken(diagnosis))
+    names = listed(_effects_mentioned(diagnosis))
     if not diagnosis.freed:
         return f"Adding {names}"
     return f"Fitting {listed(diagnosis.freed)} as well" + (f" and adding {names}" if names else "")
@@ -327,8 +330,8 @@ def _adding(diagnosis: Diagnosis) -> str:
 
 def _change(diagnosis: Diagnosis) -> str:
     """How the effects, and changed values, affect the error."""
-    taken = set(_taken(diagnosis))
-    before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= taken][-1]
+    effects = set(_effects_mentioned(diagnosis))
+    before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= effects][-1]
     by_horizon = step_changes(before, after)
     return by_horizon or f"brings the error from {before.error:.3g} to {after.error:.3g} times the noise"
 
@@ -343,19 +346,19 @@ def _sets(diagnosis: Diagnosis) -> str:
     return " or ".join(e for e in others if e not in diagnosis.effects) or "others"
 
 
-def _terms(diagnosis: Diagnosis) -> bool:
-    return any(left.depends_on or left.spectrum for left in diagnosis.remaining)
+def _has_terms(diagnosis: Diagnosis) -> bool:
+    return any(r.depends_on or r.spectrum for r in diagnosis.remaining)
 
 
-def _too_short(diagnosis: Diagnosis, left: str) -> str:
+def _only_disturbance(diagnosis: Diagnosis, refitted: str) -> str:
     """The first sentence where the residual may be a disturbance alone, as far as these logs show."""
     found = diagnosis.predictable
-    if not found or any(p.significant for p in found) or _terms(diagnosis):
+    if not found or any(p.significant for p in found) or _has_terms(diagnosis):
         return ""
     most = max(found, key=lambda p: p.at_most)
     return (
         "No effect in the catalogue improves the model, and these logs do not show if any is missing: "
-        f"{left}; the logged signals predict no more of the residual than chance, but up to "
+        f"{refitted}; the logged signals predict no more of the residual than chance, but up to "
         f"{most.at_most:.0%} of it in {most.degree_of_freedom} may depend on them: record longer runs, or "
         "treat it as a disturbance."
     )
@@ -366,7 +369,7 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     if worst is None:
         return "check the logs with undertow doctor"
     place = f"most of the residual is in {worst.degree_of_freedom}"
-    if not _terms(diagnosis):
+    if not _has_terms(diagnosis):
         return (
             f"{place}, and no logged variable clearly explains it: more runs may show what it depends on; "
             "undertow doctor checks the logs"
