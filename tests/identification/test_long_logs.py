@@ -24,11 +24,11 @@ from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.choosing import (
     Budget,
     at_full_rate,
-    checked,
     choose,
     most_informative,
     read_in_parts,
     too_long,
+    with_errors_on_rest,
 )
 from undertow.identification.long_logs.decimation import Spool, band, decimated
 from undertow.model.loading import load_vehicle
@@ -162,7 +162,7 @@ def test_the_band_is_that_of_the_fastest_time_constant(vehicle: Vehicle, tmp_pat
     found = band(vehicle, [log])
     assert found.fastest == pytest.approx(M / -X_U, rel=1e-6)
     assert found.step == pytest.approx(1 / RATE)
-    assert found.thin == 25  # 0.5 s, the longest step
+    assert found.factor == 25  # 0.5 s, the longest step
 
 
 # --- the choice -----------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ def test_the_greedy_choice_reaches_the_determinant_of_the_best_one() -> None:
         reached = log_det(every, tuple(choice.places))
         assert len(choice.places) == 4
         whole = log_det(every, tuple(range(len(every))))
-        assert choice.whole == pytest.approx(np.exp((reached - whole) / 6), rel=1e-4)
+        assert choice.total_share == pytest.approx(np.exp((reached - whole) / 6), rel=1e-4)
         shares.append(np.exp((reached - best) / 6))  # of what could be known of each of six directions
     assert min(shares) > 0.85
     assert np.mean(shares) > 0.96
@@ -198,7 +198,7 @@ def test_information_that_no_stretch_has_is_not_counted() -> None:
     every = information(0)
     every[:, 1, 2, :] = every[:, 1, :, 2] = 0.0
     choice = most_informative(every, [10] * len(every), 10 * len(every))
-    assert choice.whole == pytest.approx(1.0, abs=1e-4)
+    assert choice.total_share == pytest.approx(1.0, abs=1e-4)
     assert sorted(choice.places) == list(range(len(every)))
 
 
@@ -213,7 +213,7 @@ def test_the_stretches_that_move_are_taken_and_the_fit_is_the_truth(vehicle: Veh
     done = fit(vehicle, chosen.runs, chosen.validation)
     row = done.parameters.row(by_predicate=pl.col("parameter") == "X_u", named=True)
     assert row["value"] == pytest.approx(-20.0, rel=0.01)
-    found = checked(chosen, {"as given": vehicle, "refitted": done.vehicle})
+    found = with_errors_on_rest(chosen, {"as given": vehicle, "refitted": done.vehicle})
     assert found.rest is not None
     given, refitted = (m.error for m in found.rest.models)
     assert refitted < 0.2 * given
@@ -270,7 +270,7 @@ def test_memory_does_not_grow_with_the_log(vehicle: Vehicle, tmp_path: Path) -> 
         tracemalloc.start()
         try:
             chosen = choose(vehicle, [log], budget=SMALL)
-            checked(chosen, {"as given": vehicle})
+            with_errors_on_rest(chosen, {"as given": vehicle})
             peaks.append(tracemalloc.get_traced_memory()[1])
         finally:
             tracemalloc.stop()

@@ -115,10 +115,10 @@ class Loaded(NamedTuple):
         """What was done with logs that were too long, with the errors of models over the rest of them."""
         if self.chosen is None or not models:
             return None if self.chosen is None else self.chosen.result
-        from undertow.identification.long_logs.choosing import checked
+        from undertow.identification.long_logs.choosing import with_errors_on_rest
 
         with progress("checking the rest of the logs") as report:
-            return checked(self.chosen, models, progress=report)
+            return with_errors_on_rest(self.chosen, models, progress=report)
 
 
 def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:

@@ -165,10 +165,10 @@ class LongLog:
             raise UndertowError(nothing_numbered(column, self._where))
         return [_rows_of(self._flat, column, *one) for one in ranges.iter_rows()]
 
-    def glances(self, count: int, rows: int) -> Iterator[Run]:
+    def excerpts(self, count: int, rows: int) -> Iterator[Run]:
         """Some rows from each of several places along the log; places that cannot be read are left out."""
         rows *= min(self.mapping.time.every, _MOST_SKIPPED)
-        for table in self._glanced(count, rows):
+        for table in self._excerpt_tables(count, rows):
             try:
                 origin = self._origin(table)
                 yield run_of_table(
@@ -177,7 +177,7 @@ class LongLog:
             except UndertowError:
                 continue
 
-    def _glanced(self, count: int, rows: int) -> Iterator[pl.DataFrame]:
+    def _excerpt_tables(self, count: int, rows: int) -> Iterator[pl.DataFrame]:
         if self._sliced:
             for first in np.unique(np.linspace(0, max(self.size[0] - rows, 0), count).astype(int)):
                 yield read_rows(self._flat, int(first), rows, self._where)

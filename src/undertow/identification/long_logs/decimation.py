@@ -29,17 +29,16 @@ class BandSettings:
     # Samples in the fastest time constant. With 2.5 the values of the bundled BlueROV2 come out within
     # 0.5 % of the truth, with 1.5 within 1.6 %, where the noise leaves 0.01 % (docs/long-logs.md).
     per_time_constant: float = 2.5
-    # Rate where the model has no time constant, and the fastest that the lag of an actuator asks for, Hz: a
-    # lag that is shorter than a step is a delay to the motion.
+    # Rate where the model has no time constant, and the fastest that the lag of an actuator needs, Hz: a lag
+    # that is shorter than a step is a delay to the motion.
     usual: float = 20.0
-    # Shortest step, s: what is faster is no vehicle in water, but a unit that is wrong.
+    # Shortest step, s: a faster time constant is no vehicle in water, but a wrong unit.
     shortest: float = 0.02
-    # Longest step, s: delays and lags that a ship's file lacks are to be seen all the same.
-    longest: float = 0.5
-    # Places along a log, and rows at each, by which the time constants are known before it is read.
-    places: int = 40
+    longest: float = 0.5  # longest step, s: delays and lags that a ship's file lacks must still be visible
+    # Excerpts of a log, and their rows, by which the time constants are known before it is read.
+    excerpts: int = 40
     rows: int = 200
-    gap: float = 5.0  # steps this many usual ones long are gaps, over which nothing is averaged
+    gap: float = 5.0  # longer steps, in units of the usual one, are gaps, over which nothing is averaged
 
 
 BAND = BandSettings()
@@ -47,35 +46,35 @@ BAND = BandSettings()
 
 @dataclass(frozen=True)
 class Band:
-    """What a vehicle can follow, and how it was logged."""
+    """The time constants of a vehicle in logs, and the rate that they need."""
 
-    fastest: float  # time constant, s; infinite where nothing dies away
-    slowest: float  # time constant, s; infinite where nothing dies away
+    fastest: float  # time constant, s; infinite where nothing decays
+    slowest: float  # time constant, s; infinite where nothing decays
     step: float  # usual step of the log, s
-    thin: int  # rows of the log that become one, an odd number
+    factor: int  # rows of the log that become one, an odd number
 
 
 def band(vehicle: Vehicle, logs: Sequence[LongLog]) -> Band:
-    """The band of a vehicle in logs, by a few rows from places all along them."""
-    places = max(BAND.places // len(logs), 2)
-    glances = (run for log in logs for run in log.glances(places, BAND.rows))
-    seen = [_moving(vehicle, run) for run in glances if np.all(np.diff(run.t) > 0)]
-    if not seen:
+    """The band of a vehicle in logs, by excerpts from all along them."""
+    count = max(BAND.excerpts // len(logs), 2)
+    excerpts = (run for log in logs for run in log.excerpts(count, BAND.rows))
+    runs = [_with_velocities(vehicle, run) for run in excerpts if np.all(np.diff(run.t) > 0)]
+    if not runs:
         return Band(np.inf, np.inf, 0.0, 1)
-    step = float(np.median([np.median(np.diff(run.t)) for run in seen]))
-    motions = [constants for constants in time_constants_by_run(vehicle, seen) if len(constants)]
+    step = float(np.median([np.median(np.diff(run.t)) for run in runs]))
+    motions = [constants for constants in time_constants_by_run(vehicle, runs) if len(constants)]
     fastest = float(np.quantile([c[0] for c in motions], 0.05)) if motions else np.inf
     slowest = float(np.median([c[-1] for c in motions])) if motions else np.inf
     usual = BAND.per_time_constant / BAND.usual
     lag = max(_quickest_lag(vehicle), usual) if motions else usual
     wanted = np.clip(min(fastest, lag) / BAND.per_time_constant, BAND.shortest, BAND.longest)
-    whole = int(wanted / step * (1 + 1e-9)) if step > 0 else 1
-    # An odd number of rows has one in its middle, and their mean is true there.
-    return Band(fastest, slowest, step, max(whole - (whole % 2 == 0), 1))
+    factor = int(wanted / step * (1 + 1e-9)) if step > 0 else 1
+    # An odd number of rows has one in its middle, to which their mean belongs.
+    return Band(fastest, slowest, step, max(factor - (factor % 2 == 0), 1))
 
 
-def _moving(vehicle: Vehicle, run: Run) -> Run:
-    """A few rows with velocities, where their pose shows them."""
+def _with_velocities(vehicle: Vehicle, run: Run) -> Run:
+    """A run with velocities, if they can be derived from its pose."""
     try:
         return velocities_from_pose(run, vehicle.degrees_of_freedom)
     except UndertowError:
@@ -83,13 +82,13 @@ def _moving(vehicle: Vehicle, run: Run) -> Run:
 
 
 def _quickest_lag(vehicle: Vehicle) -> float:
-    """Shortest time constant of the states that effects own, at rest, s; infinite where there are none."""
+    """Shortest time constant of the states of effects, at rest, s; infinite where there are none."""
     functions = Functions(vehicle)
-    own = functions.memory.shape[0] + functions.actuator_states.shape[0]
-    if not own:
+    count = functions.memory.shape[0] + functions.actuator_states.shape[0]
+    if not count:
         return np.inf
     x, u = np.zeros(functions.x.shape[0]), np.zeros(functions.u.shape[0])
-    slopes = np.array(functions.quickest(x, u, functions.values(), 0.0))[-own:, -own:]
+    slopes = np.array(functions.quickest(x, u, functions.values(), 0.0))[-count:, -count:]
     poles = np.linalg.eigvals(np.where(np.isfinite(slopes), slopes, 0.0)).real
     return float(np.min(-1.0 / poles[poles < 0.0], initial=np.inf))
 
@@ -97,11 +96,11 @@ def _quickest_lag(vehicle: Vehicle) -> float:
 def decimated(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]) -> Iterator[Run]:
     """Parts of a log that follow each other, decimated.
 
-    A measurement becomes the mean of `by` rows, at the mean of their times: an odd number of them has no
-    delay, what is faster than the new rate is averaged away, and the noise stays white. Where some of these
-    rows are empty, the mean of the others is moved to that time along the slope to the means beside it. A
+    A measurement becomes the mean of `by` rows, at the mean of their times: with an odd number there is no
+    delay, what is faster than the new rate is averaged out, and the noise stays white. Where some of these
+    rows are empty, the mean of the others is extrapolated to that time with the slope of adjacent means. A
     command, which is held from row to row, is averaged likewise, and over the time until the next of the new
-    rows: what changes the mean velocity from one of them to the next is exactly the command there. Steps much
+    rows: it then gives exactly the change of the mean velocity from one of them to the next. Steps much
     longer than the usual `step`, s, are gaps, over which nothing is averaged.
     """
     rest: Run | None = None
@@ -115,7 +114,7 @@ def decimated(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]
         if len(blocks) < 2:
             rest = whole
             continue
-        # The last block is needed to say how long the command of the one before it is held.
+        # The last block is needed for the time for which the command before it is held.
         yield _averaged(whole, blocks, by, step, commands).head(len(blocks) - 1)
         rest = whole.slice(whole.t[blocks[-1]])
     if rest is not None and by > 1 and len(blocks := _blocks(rest.t, by, step)):
@@ -123,8 +122,8 @@ def decimated(runs: Iterable[Run], by: int, step: float, commands: Sequence[str]
 
 
 def joined(one: Run, other: Run) -> Run:
-    """Two parts that follow each other; angles go on from where they were."""
-    channels = {n: np.concatenate([a, _going_on(n, a, other)]) for n, a in one.channels.items()}
+    """Two parts that follow each other, with angles continuous between them."""
+    channels = {n: np.concatenate([a, _continued(n, a, other)]) for n, a in one.channels.items()}
     reported = {
         n: np.concatenate([r.reported.get(n, np.ones(len(r.t), dtype=bool)) for r in (one, other)])
         for n in {*one.reported, *other.reported}
@@ -134,8 +133,8 @@ def joined(one: Run, other: Run) -> Run:
     return with_reports(both, {n: both.reports(n) for n in reported})
 
 
-def _going_on(name: str, before: Array, run: Run) -> Array:
-    """A channel of the next part; an angle that was unwrapped there is moved by whole turns to go on."""
+def _continued(name: str, before: Array, run: Run) -> Array:
+    """A channel of the next part; an unwrapped angle is shifted by whole turns to be continuous."""
     data = run.channels[name]
     last, first = (a[np.isfinite(a)] for a in (before, data))
     if not (run.mapping or LogMapping()).jumps(name) or not len(last) or not len(first):
@@ -171,14 +170,14 @@ def _averaged(run: Run, blocks: Index, by: int, step: float, commands: Sequence[
 
 def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:
     """Means of blocks (K, by) at the times t (K,), and how many values a mean is of, on average."""
-    there = np.isfinite(values)
-    count = there.sum(axis=1)
+    finite = np.isfinite(values)
+    count = finite.sum(axis=1)
     some = np.flatnonzero(count)
     mean = np.full(len(t), np.nan)
     if not len(some):
         return mean, 0.0
-    known, inside = values[some], there[some]
-    # Sums of equal numbers are not exact: a channel that never changes stays so.
+    known, inside = values[some], finite[some]
+    # Sums of equal numbers are not exact: a constant channel must stay constant.
     low = np.min(np.where(inside, known, np.inf), axis=1)
     high = np.max(np.where(inside, known, -np.inf), axis=1)
     mean[some] = np.clip(np.where(inside, known, 0.0).sum(axis=1) / count[some], low, high)
@@ -191,34 +190,34 @@ def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:
 def _held(times: Array, values: Array, rows: Index, t: Array, usual: float) -> Array:
     """A signal that is held from row to row, decimated: blocks `rows` (K, by) at the times t (K,).
 
-    Its integral is decimated like a velocity, whose rate it is: the decimated command is then exactly what
-    moves the mean velocity from one block to the next. At the end and before a gap it is a block's mean.
+    Its integral is decimated like a velocity, whose rate it is: the decimated command then gives exactly the
+    change of the mean velocity from one block to the next. At the end and before a gap it is a block's mean.
     """
     known = np.where(np.isfinite(values), values, 0.0)
     total = np.append(0.0, np.cumsum((known[:-1] - known[0]) * np.diff(times)))
     mean = known[rows].mean(axis=1)
-    beside = np.diff(t) <= BAND.gap * usual
+    adjacent = np.diff(t) <= BAND.gap * usual
     change = np.diff(total[rows].mean(axis=1))
-    mean[:-1] = np.where(beside, known[0] + change / np.diff(t), mean[:-1])
-    # Differences of sums are not exact: a command that never changes stays so.
-    low, high = (_with_next(f(known[rows], axis=1), beside, f) for f in (np.min, np.max))
-    lost = _with_next(np.any(~np.isfinite(values[rows]), axis=1), beside, np.max)
-    return np.where(lost, np.nan, np.clip(mean, low, high))
+    mean[:-1] = np.where(adjacent, known[0] + change / np.diff(t), mean[:-1])
+    # Differences of sums are not exact: a constant command must stay constant.
+    low, high = (_with_next(f(known[rows], axis=1), adjacent, f) for f in (np.min, np.max))
+    missing = _with_next(np.any(~np.isfinite(values[rows]), axis=1), adjacent, np.max)
+    return np.where(missing, np.nan, np.clip(mean, low, high))
 
 
-def _with_next(values: Array, beside: Flags, of: Callable[..., Array]) -> Array:
-    """The least or greatest of each value and the next one, where that is beside it."""
-    after = np.where(np.append(beside, False), np.append(values[1:], values[-1:]), values)
+def _with_next(values: Array, adjacent: Flags, of: Callable[..., Array]) -> Array:
+    """The least or greatest of each value and the next one, where that is adjacent."""
+    after = np.where(np.append(adjacent, False), np.append(values[1:], values[-1:]), values)
     return np.asarray(of(np.column_stack([values, after]), axis=1))
 
 
 # --- decimated rows in a file ----------------------------------------------------------------------------
 class Spool:
-    """A log after it was decimated: rows in a temporary file, of which any can be had back as a run."""
+    """A log after decimation: rows in a temporary file, of which any can be read as a run."""
 
-    like: Run  # one row, with the name, source and notes of the log
+    template: Run  # one row, with the name, source and notes of the log
 
-    def __init__(self, parts: Iterable[Run], thin: Callable[[Iterable[Run]], Iterator[Run]]) -> None:
+    def __init__(self, parts: Iterable[Run], decimate: Callable[[Iterable[Run]], Iterator[Run]]) -> None:
         self._file = tempfile.TemporaryFile(prefix="undertow-")  # noqa: SIM115 - it lives as long as this
         finalize(self, self._file.close)
         self.rows = self.samples = self.dropped = self.gaps = 0
@@ -226,7 +225,7 @@ class Spool:
         self._names: tuple[str, ...] = ()
         self._slow: set[str] = set()  # channels that do not report in every row
         self._missing: Counter[str] = Counter()
-        for run in thin(map(self._counted, parts)):
+        for run in decimate(map(self._counted, parts)):
             self._add(run)
 
     def _counted(self, run: Run) -> Run:
@@ -248,21 +247,21 @@ class Spool:
 
     def _add(self, run: Run) -> None:
         if not self._names:
-            self._names, self.like = tuple(run.channels), replace(run.head(1), dropped=0)
+            self._names, self.template = tuple(run.channels), replace(run.head(1), dropped=0)
         np.column_stack([run.t, *map(run.reports, self._names)]).tofile(self._file)
         self._slow |= {*run.reported}
-        self.like = replace(self.like, sigma={**self.like.sigma, **run.sigma})
+        self.template = replace(self.template, sigma={**self.template.sigma, **run.sigma})
         self.rows += len(run.t)
 
     def run(self, first: int, stop: int) -> Run:
         """Some rows as a run that is a segment of the log."""
         table = self._table(first, stop)
         channels = dict(zip(self._names, table[:, 1:].T, strict=True))
-        name = f"{self.like.name} [{table[0, 0]:.0f}-{table[-1, 0]:.0f} s]"
+        name = f"{self.template.name} [{table[0, 0]:.0f}-{table[-1, 0]:.0f} s]"
         slow = {n: channels[n] for n in self._slow}
         reported = {n: np.isfinite(data) for n, data in slow.items()}
-        rows = replace(self.like, name=name, t=table[:, 0], channels=channels, reported=reported)
-        return with_reports(replace(rows, part_of=self.like.origin), slow)
+        rows = replace(self.template, name=name, t=table[:, 0], channels=channels, reported=reported)
+        return with_reports(replace(rows, part_of=self.template.origin), slow)
 
     def times(self, first: int, stop: int) -> tuple[float, float]:
         """When some rows begin and end, s."""
@@ -275,7 +274,7 @@ class Spool:
         return np.fromfile(self._file, count=width * (stop - first)).reshape(-1, width)
 
     def ranges(self, rows: int) -> list[tuple[int, int]]:
-        """Ranges of so many rows one after the other; the last takes what is left over."""
+        """Consecutive ranges of so many rows; the last takes the remainder."""
         edges = [*range(0, max(self.rows - rows + 1, 1), rows), self.rows]
         if len(edges) > 2 and edges[-1] - edges[-2] >= rows + rows // 2:
             edges.insert(-1, edges[-2] + rows)
@@ -313,7 +312,7 @@ def merged(chosen: Iterable[Segment]) -> list[Segment]:
 
 
 def without(spools: Sequence[Spool], taken: Iterable[Segment], rows: int) -> Iterator[Segment]:
-    """What is left of the spools, in pieces of at most so many rows."""
+    """The rest of the spools, in pieces of at most so many rows."""
     used = merged(taken)
     for i, spool in enumerate(spools):
         edges: Index = np.array([0, *(e for s in used if s.log == i for e in (s.first, s.stop)), spool.rows])
