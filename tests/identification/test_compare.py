@@ -274,7 +274,7 @@ def test_a_free_run_across_gaps_is_called_pieces() -> None:
     rows = np.ones(len(whole.t), dtype=bool)
     rows[[*range(40, 60), *range(90, 110)]] = False
     broken = replace(whole, t=whole.t[rows], channels={n: v[rows] for n, v in whole.channels.items()})
-    one, three = (traces(compare(_true_surge(), [run]), free=True)[0].how for run in (whole, broken))
+    one, three = (traces(compare(_true_surge(), [run]), free=True)[0].caption for run in (whole, broken))
     assert one == "simulated without any correction"
     assert three.startswith("simulated without any correction between gaps, in 3 pieces")
 

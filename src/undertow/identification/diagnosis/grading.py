@@ -434,9 +434,9 @@ class Grading:
         unrefuted = [f for f in others if f.id in doubts and not _is_refuted(f, doubts[f.id], self._bench)]
         rivals = [f for f in unrefuted if f not in series]
         alike = substitutes(chosen, self.gains[chosen.id], rivals, self._gain_on_top, self._settings)
-        return [f for f in (*series, *alike) if not self._leaves_more(f, chosen)]
+        return [f for f in (*series, *alike) if not self._is_noise_in_fewer_equations(f, chosen)]
 
-    def _leaves_more(self, finding: FoundEffect, chosen: FoundEffect) -> bool:
+    def _is_noise_in_fewer_equations(self, finding: FoundEffect, chosen: FoundEffect) -> bool:
         """Whether an effect leaves noise alone in fewer equations than one with no more parameters."""
         if len(finding.trial.kept) < len(chosen.trial.kept):
             return False
