@@ -26,10 +26,10 @@ from .opening import (
     field_log,
     is_dated,
     must_have,
-    nothing_numbered,
+    no_segment,
     opened_field_log,
     opened_table,
-    stretches_of,
+    segments_in,
     times_of,
 )
 from .reading import decimated, run_of_table
@@ -52,8 +52,8 @@ from .table import (
     with_even_times,
 )
 
-# Bytes that the length of a line is taken from; rows that a glance skips between two where `every` asks.
-_GLANCE = 1 << 18
+# Bytes from which the length of a line is estimated; most rows that an excerpt skips between two (`every`).
+_SAMPLE_BYTES = 1 << 18
 _MOST_SKIPPED = 100
 
 
@@ -65,8 +65,8 @@ class LogPart(NamedTuple):
     """Part of a long log."""
 
     run: Run  # its samples within the window
-    # Time in the middle of the rows that it shares with the part after it, s; by the rows of the file,
-    # those outside the window too, so that either part reaches beyond it as far as the window does.
+    # Time in the middle of the rows that it shares with the next part, s; also of those outside the window,
+    # so that both parts extend beyond it as far as the window does.
     border: float
 
 
@@ -80,14 +80,14 @@ class LongLog:
     window: Window = (None, None)  # part that is used, s; None: no limit
     missing_commands: CommandPolicy | None = None  # what to do where a command has no sample
     required: bool = False  # whether a log without one of the commands is refused
-    # Its rows, where they are not those of the file: a segment, or what a vehicle's own log was turned into.
+    # Its rows, where they are not those of the file: a segment, or the table of a vehicle's own log.
     table: pl.LazyFrame | None = None
     stretch: int = 0  # which segment it is, counted from one; 0 for a whole log
     reader_notes: tuple[str, ...] = ()  # as of a run: empty for a table
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the log, with the number of the segment."""
         return self.path.name.split(".")[0] + (f"-{self.stretch}" if self.stretch else "")
 
     @cached_property
@@ -106,7 +106,7 @@ class LongLog:
 
     def parts(self, rows: int, overlap: int) -> Iterator[LogPart]:
         """Parts of `rows` rows, each beginning with the last `overlap` rows of the one before."""
-        self._refuse()
+        self._refuse_no_file()
         origin: Origin | None = None
         last: Run | None = None
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
@@ -132,16 +132,16 @@ class LongLog:
 
         Only the first lines or last bytes of the log are read.
         """
-        self._refuse()
+        self._refuse_no_file()
         if self.table is not None:
             count = self.table.select(pl.len()).collect(engine="streaming").item()
             return int(count), len(self.table.collect_schema())
-        begin = self._begin
+        begin = self._first_bytes
         if is_parquet(begin):
             rows, kinds = parquet_size(self.path, self._where)
             return rows, len(kinds)
         with _opened(self.path, self._where, packed=is_gzip(begin)) as file:
-            text = file.read(_GLANCE)
+            text = file.read(_SAMPLE_BYTES)
         if b"\0" in text:
             raise UndertowError(f"{self._where} is not text: give a CSV, CSV.gz or Parquet file")
         lines = text.split(b"\n")
@@ -150,9 +150,9 @@ class LongLog:
         return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
 
     def segments(self, column: str) -> list[pl.LazyFrame]:
-        """The segments of its file: of a Parquet file where they are in it, of a text their rows."""
-        if not is_parquet(self._begin):
-            parts = stretches_of(opened_table(self.path, self.mapping).table, column, self._where)
+        """The segments of its file: lazily of a Parquet file, in memory of a text."""
+        if not is_parquet(self._first_bytes):
+            parts = segments_in(opened_table(self.path, self.mapping).table, column, self._where)
             return [part.lazy() for part in parts]
         must_have(column, self._flat.collect_schema().names(), self._where, "column of segments,")
         row = pl.col("row")
@@ -162,11 +162,11 @@ class LongLog:
             .sort("first").collect(engine="streaming")
         )  # fmt: skip
         if not ranges.height:
-            raise UndertowError(nothing_numbered(column, self._where))
+            raise UndertowError(no_segment(column, self._where))
         return [_rows_of(self._flat, column, *one) for one in ranges.iter_rows()]
 
     def excerpts(self, count: int, rows: int) -> Iterator[Run]:
-        """Some rows from each of several places along the log; places that cannot be read are left out."""
+        """Some rows from several places along the log; those that cannot be read are left out."""
         rows *= min(self.mapping.time.every, _MOST_SKIPPED)
         for table in self._excerpt_tables(count, rows):
             try:
@@ -178,11 +178,11 @@ class LongLog:
                 continue
 
     def _excerpt_tables(self, count: int, rows: int) -> Iterator[pl.DataFrame]:
-        if self._sliced:
+        if self._random_access:
             for first in np.unique(np.linspace(0, max(self.size[0] - rows, 0), count).astype(int)):
                 yield read_rows(self._flat, int(first), rows, self._where)
             return
-        with _opened(self.path, self._where, packed=is_gzip(self._begin)) as file:
+        with _opened(self.path, self._where, packed=is_gzip(self._first_bytes)) as file:
             header, size = self._header(_lines(file, self._where)), size_of(self.path)
             for place in np.linspace(file.tell(), size, count, endpoint=False).astype(int).tolist():
                 if place > file.tell():
@@ -221,7 +221,7 @@ class LongLog:
         rows = table if is_dated(table, self.mapping) else table.head(1)
         return times_of(rows, self.mapping, self._where)[1]
 
-    def _refuse(self) -> None:
+    def _refuse_no_file(self) -> None:
         if self.table is None:
             refuse_no_file(self.path)
 
@@ -229,12 +229,12 @@ class LongLog:
         every = self.mapping.time.every
         if every == 1:
             return self._all_rows(rows, overlap)
-        return _of_rows(decimated(self._all_rows(rows, 0), every), rows, overlap)
+        return _overlapping(decimated(self._all_rows(rows, 0), every), rows, overlap)
 
     def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         """Tables of all rows, whatever `every` says."""
-        if not self._sliced:
-            yield from self._text_tables(rows, overlap, packed=is_gzip(self._begin))
+        if not self._random_access:
+            yield from self._text_tables(rows, overlap, packed=is_gzip(self._first_bytes))
             return
         first = 0
         while True:
@@ -245,14 +245,14 @@ class LongLog:
             first += rows - overlap
 
     @cached_property
-    def _begin(self) -> bytes:
+    def _first_bytes(self) -> bytes:
         with self.path.open("rb") as file:
             return file.read(4)
 
     @property
-    def _sliced(self) -> bool:
-        """Whether any of its rows can be had without those before."""
-        return self.table is not None or is_parquet(self._begin)
+    def _random_access(self) -> bool:
+        """Whether rows can be read without those before."""
+        return self.table is not None or is_parquet(self._first_bytes)
 
     @cached_property
     def _flat(self) -> pl.LazyFrame:
@@ -266,8 +266,8 @@ class LongLog:
             header = self._header(stream)
             kept: list[bytes] = []
             first = 0
-            while fresh := list(islice(stream, rows - len(kept))):
-                lines = kept + fresh
+            while new := list(islice(stream, rows - len(kept))):
+                lines = kept + new
                 table = read_table(header + b"".join(lines), self.mapping, self._where)
                 yield with_even_times(table, self.mapping, first)
                 kept = lines[-overlap:] if overlap else []
@@ -300,7 +300,7 @@ def long_logs(
         needed, also = (names, ()) if required else ((), names)
         found = opened_field_log(log, mapping, needed, also, window)
         whole = LongLog(path, found.mapping, names, window, missing_commands, required)
-        parts = stretches_of(found.table, found.mapping.time.stretch, f"log {path}")
+        parts = segments_in(found.table, found.mapping.time.stretch, f"log {path}")
         return _numbered(replace(whole, reader_notes=found.notes), [part.lazy() for part in parts])
     whole = LongLog(path, mapping or LogMapping(), names, window, missing_commands, required)
     column = whole.mapping.time.stretch
@@ -318,23 +318,23 @@ def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:
 def _rows_of(
     flat: pl.LazyFrame, column: str, number: object, first: int, stop: int, rows: int
 ) -> pl.LazyFrame:
-    """The rows with a number in a column; where they are beside each other, nothing else is read."""
+    """The rows with a number in a column; where they are contiguous, no others are read."""
     between = flat.slice(first, stop - first)
     return (between if rows == stop - first else between.filter(pl.col(column) == number)).drop(column)
 
 
-def _of_rows(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:
+def _overlapping(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:
     """The same rows in tables of so many rows that overlap."""
-    held: pl.DataFrame | None = None
-    fresh = False  # whether there are rows that were not handed out yet
+    buffer: pl.DataFrame | None = None
+    new = False  # whether there are rows that were not yielded yet
     for table in tables:
-        held, fresh = table if held is None else pl.concat([held, table]), fresh or table.height > 0
-        while held.height >= rows:
-            yield held.head(rows)
-            held = held.slice(rows - overlap)
-            fresh = held.height > overlap
-    if held is not None and fresh:
-        yield held
+        buffer, new = table if buffer is None else pl.concat([buffer, table]), new or table.height > 0
+        while buffer.height >= rows:
+            yield buffer.head(rows)
+            buffer = buffer.slice(rows - overlap)
+            new = buffer.height > overlap
+    if buffer is not None and new:
+        yield buffer
 
 
 def _commands_before(t: float, run: Run | None) -> dict[str, float]:
@@ -354,7 +354,7 @@ def _opened(path: Path, where: str, *, packed: bool) -> Iterator[IO[bytes]]:
 
 
 def _lines(file: IO[bytes], where: str) -> Iterator[bytes]:
-    """Lines of a file; one that does not end is not read to its end."""
+    """Lines of a file; one that is too long is refused before it is read to its end."""
     while line := file.readline(WHOLE.line + 1):
         if len(line) > WHOLE.line:
             raise UndertowError(
@@ -370,10 +370,10 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
     its value.
     """
     found: dict[str, list[float]] = {}
-    there: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for run in parts:
         for channel, values in run.channels.items():
-            there[channel] += len(values)
+            counts[channel] += len(values)
             known = values[np.isfinite(values)]
             if not len(known):
                 continue
@@ -381,7 +381,7 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
             more = [float(np.sum(np.maximum(s * known, 0.0))) for s in (1.0, -1.0)]
             ends = min(low, float(known.min())), max(high, float(known.max()))
             found[channel] = [*ends, up + more[0], down + more[1]]
-    for channel in there.keys() - found.keys():
-        raise UndertowError(empty(channel, there[channel], f"log {name}"))
+    for channel in counts.keys() - found.keys():
+        raise UndertowError(empty(channel, counts[channel], f"log {name}"))
     channels = {n: [a, a] if a == b else [up, -down] for n, (a, b, up, down) in found.items()}
     return Run(name, np.array([0.0, 1.0]), {n: np.array(v) for n, v in channels.items()}, sha256=sha256)

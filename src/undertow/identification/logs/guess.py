@@ -53,9 +53,9 @@ from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_
 class GuessSettings:
     """Settings for guesses."""
 
-    lines: int = 50  # lines by which the sign between cells is known
-    rows: int = 20_000  # rows that are looked at; more change no guess
-    turn: float = 7.0  # an angle beyond this is in degrees: a turn and what noise adds to it
+    lines: int = 50  # lines by which the delimiter of cells is recognised
+    rows: int = 20_000  # rows that are examined; more change no guess
+    turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
     spin: float = (
         6.0  # a turning rate beyond this is in degrees: vehicles in water turn once a second at most
@@ -93,9 +93,9 @@ def guess_table(
 ) -> GuessedMapping:
     """Guess what the columns of a table, or of its first rows, mean.
 
-    The motions, commands and inputs of the vehicle are looked for; without one all motions are, and what
-    looks like a command keeps its name. `reading` says how the text of the table was written, `clock` what
-    its time is where that is known.
+    Columns are assigned to the motions, commands and inputs of the vehicle; without one to all motions, and
+    those that look like a command keep their names. `reading` is the format of the text of the table, `clock`
+    its time where that is known.
     """
     reading = reading or LogMapping()
     data = {
@@ -112,7 +112,7 @@ def guess_table(
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
-    motion = _best([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
+    motion = _best_columns([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
     motion |= _speed_ahead(vehicle, [n for n in names if n.column not in dead and "u" not in motion])
     units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
@@ -125,7 +125,7 @@ def guess_table(
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
-    read += _attitude(turned, _UNNAMED if unnamed else "") + _place(globe, place)
+    read += _attitude(turned, _UNNAMED if unnamed else "") + _position_guesses(globe, place)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
@@ -159,11 +159,11 @@ def guess_table(
 
 
 def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
-    """Position and horizontal speeds, m and m/s, as far as names and units of columns say."""
+    """Position and horizontal speeds, m and m/s, as far as names and units of columns show them."""
     names = with_sides(with_axes([Name.of(c) for c in data if c != time]))
     globe = latitude_and_longitude(data)
     found = {c: v for c, (_, v) in place_of(*((n, data[n]) for n in globe)).items()} if globe else {}
-    for channel, name in _best([n for n in names if not _is_dead(data[n.column])], None).items():
+    for channel, name in _best_columns([n for n in names if not _is_dead(data[n.column])], None).items():
         if channel in ("x", "y", "u", "v"):
             factor = scale_offset(name.unit or UNITS[channel], UNITS[channel])[0]
             found[channel] = data[name.column] * (-factor if name.is_leftward else factor)
@@ -173,7 +173,7 @@ def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
 def _with_gaps(
     reading: LogMapping, table: pl.DataFrame, used: set[str], commands: Mapping[str, Array]
 ) -> tuple[LogMapping, list[str]]:
-    """How a table is read whose columns have cells without a number, and what to ask of these."""
+    """The mapping of a table whose columns have cells without a number, and questions on these."""
     lost = {c: texts for c in table.columns if c in used and (texts := texts_in(table, c, reading))}
     asked = [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
     blank = [name for name, values in commands.items() if np.isnan(values).any()]
@@ -199,7 +199,7 @@ def no_column(lacking: Sequence[str]) -> list[str]:
 
 
 def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Name]) -> list[str]:
-    """What to ask of what has no column, and of forces among the columns that are `left`."""
+    """Questions on what has no column, and on forces among the columns that are `left`."""
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
     wrench = [n.column for n in left if n.force]
@@ -249,7 +249,7 @@ def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], di
     return globe if place else (), place
 
 
-def _place(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
+def _position_guesses(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
     """North and east of the first fix, from latitude and longitude."""
     asked = "x and y: metres from the first fix of this log, if these are degrees: are they?"
     return [
@@ -270,7 +270,7 @@ def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
-    """Unit of the heading: as its name states, or as jumps by a turn, the position or its range have it."""
+    """Unit of the heading: as its name states, else by jumps of a full turn, the position or its range."""
     name = motion.get("psi")
     if name is None or name.unit:
         return name.unit if name else ""
@@ -279,7 +279,7 @@ def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) ->
 
 
 def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
-    """The rows of a log, and how its text is written."""
+    """The rows of a log, and the format of its text."""
     reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
     table = read_table(data, reading, where, path)
     sign = _delimiter(table) if len(table.columns) == 1 else None
@@ -290,7 +290,7 @@ def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
 
 
 def _delimiter(table: pl.DataFrame) -> str | None:
-    """What separates the cells of a table read as one column: the sign that most of its lines have."""
+    """The delimiter of the cells of a table read as one column: the sign that most of its lines have."""
     (name,) = table.columns
     lines = [line.strip() for line in (name, *table[name].head(SETTINGS.lines).drop_nulls().cast(pl.String))]
     return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
@@ -315,7 +315,7 @@ def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
     return name if name.unit else replace(name, unit=next(filter(None, map(known_unit, stated)), ""))
 
 
-# Of attitude and depth a vehicle may keep one value; another motion that stays was not measured.
+# Attitude and depth of a vehicle may be constant; another motion that is constant was not measured.
 _MOVED = ("x", "y", *VELOCITY)
 
 
@@ -324,8 +324,8 @@ def _is_dead(values: Array) -> bool:
     return len(values) > 1 and (len(there) == 0 or float(np.ptp(there)) == 0.0)
 
 
-def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
-    """The column of each channel: the plainest of those whose names mean it."""
+def _best_columns(names: Iterable[Name], only: int | None) -> dict[str, Name]:
+    """The column of each channel: the one with the best rank of those whose names mean it."""
     found: dict[str, Name] = {}
     names = list(names)
     body = any(n.motion(only) in VELOCITY[:2] and not n.along_earth for n in names)
@@ -337,23 +337,23 @@ def _best(names: Iterable[Name], only: int | None) -> dict[str, Name]:
 
 
 def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Name]:
-    """The plainest column with a speed, of a vehicle that has surge and no sway."""
+    """The best column with a speed, of a vehicle that has surge and no sway."""
     moves = {"surge", "sway"} & {*vehicle.degrees_of_freedom} if vehicle else set()
     speeds = sorted((n for n in names if n.is_speed), key=lambda n: n.rank) if moves == {"surge"} else []
     return {"u": speeds[0]} if speeds else {}
 
 
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
-    """The column of each command and input: of those of the vehicle, or of whatever looks like a command.
+    """The column of each command and input of the vehicle, else of all columns that look like a command.
 
-    Of the `dead` ones, which stay as they are, a vehicle may have a thruster that was never used, and so may
-    a row of columns that differ in a number.
+    `dead` columns are constant: they are used for a thruster of the vehicle that was never used, and in a
+    group of columns that differ in a number.
     """
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
         rows = rows_by_number(n.column for n in driving)
         beside = {column for row in rows if not dead.issuperset(row) for column in row}
-        likely = sorted(driving, key=lambda n: n.rank, reverse=True)  # of one force the plainest is the last
+        likely = sorted(driving, key=lambda n: n.rank, reverse=True)  # the best of one force is the last
         kept = {n.force or n.column: n for n in likely if n.column not in dead or n.column in beside}
         return {c: kept[c] for c in dict.fromkeys(n.force or n.column for n in driving) if c in kept}
     names = sorted(names, key=lambda n: n.column in dead)
@@ -368,18 +368,18 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) ->
         if fits and fits[0][0] < NO_FIT:
             found[command] = known[fits[0][2]]
     if found.keys().isdisjoint(vehicle.actuator_names):
-        found |= _in_order(names, vehicle.actuator_names)
+        found |= _by_number(names, vehicle.actuator_names)
     return found
 
 
 def _axes(vehicle: Vehicle) -> dict[str, str]:
-    """The force or moment that is all of what a command gives, of commands that are called one."""
+    """The only force or moment of commands that are named like one."""
     alone = {t.name: np.flatnonzero(t.wrench) for t in vehicle.thrusters if is_force(t.name)}
     return {f: f for f in FORCES} | {n: FORCES[at[0]] for n, at in alone.items() if len(at) == 1}
 
 
-def _in_order(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
-    """Columns that differ in a number alone, as many as there are commands, in the order of that number."""
+def _by_number(names: Sequence[Name], commands: Sequence[str]) -> dict[str, Name]:
+    """Columns that differ only in a number, as many as there are commands, in the order of that number."""
     known = {name.column: name for name in names if name.is_command}
     fitting = (row for row in rows_by_number(known) if len(row) == len(commands) > 1)
     return {command: known[name] for command, name in zip(commands, next(fitting, []), strict=False)}
@@ -396,7 +396,7 @@ def _motions(
     heading = _heading(motion, data, t)
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    return _alike(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
+    return _with_common_units(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
@@ -433,15 +433,15 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
 
 
 def _unit(channel: str, values: Array) -> tuple[str, str]:
-    """Unit of a column that does not state it, and what is not sure about it."""
+    """Unit of a column that does not state it, and the doubt about it."""
     most = float(np.nanmax(np.abs(values), initial=0.0))
     if most == 0.0:
         return UNITS[channel], ""
     if channel in POSE[3:]:
         if most > SETTINGS.turn:
             return "deg", ""
-        sure = channel == "psi" and most > SETTINGS.small
-        return "rad", "" if sure else f"never beyond {most:.2g}: radians, or small angles in degrees?"
+        certain = channel == "psi" and most > SETTINGS.small
+        return "rad", "" if certain else f"never beyond {most:.2g}: radians, or small angles in degrees?"
     if channel in VELOCITY[3:]:
         if most > SETTINGS.spin:
             return "deg/s", ""
@@ -479,12 +479,12 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
     if not len(gaps):
         return ""
     usual = np.median(gaps)
-    # Of a coarse reading the values change when they happen to.
+    # Values of low resolution change at irregular intervals.
     return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
 
 
 def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: Array) -> list[Guess]:
-    """The guesses with the unit of the yaw rate, and its column, as the change of the heading has them."""
+    """The guesses with the column and unit of the yaw rate by the derivative of the heading."""
     heading = next((g for g in read if g.channel == "psi"), None)
     if heading is None or len(t) == 0:
         return list(read)
@@ -509,7 +509,7 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
     return [g for g in kept if g.channel == "r" or g.column not in {one.column for one in taken}]
 
 
-def _alike(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
+def _with_common_units(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
     """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is.
 
     A small roll alone may be in either unit; with a heading in degrees from the same sensor it is in degrees.
@@ -534,7 +534,7 @@ def _rate_in_si(unit: str) -> float:
 
 
 def _factor(guess: Guess) -> float:
-    """SI units in one unit of a column of pose or velocity, negative where it counts the other way."""
+    """SI units in one unit of a column of pose or velocity, negative where its sign is reversed."""
     sign = -1.0 if guess.entry.get("scale") == -1 else 1.0
     return sign * scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
 
@@ -549,8 +549,8 @@ def _command(
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
-    sure = not axes or command == name.column or name.is_surely(command, axes)
-    doubt, asked = "", "" if sure else f"is it command '{command}'? "
+    certain = not axes or command == name.column or name.is_surely(command, axes)
+    doubt, asked = "", "" if certain else f"is it command '{command}'? "
     low, high = SETTINGS.pulse
     pulses = values[(values != 0.0) & np.isfinite(values)]  # 0 where an output is switched off
     if command in FORCES:
@@ -595,7 +595,7 @@ def _command(
 
 
 def _quantities() -> dict[str, str]:
-    """What the quantities are that effects take from logs, by name."""
+    """Descriptions of the quantities that effects take from logs, by name."""
     return {d.name: d.about for cls in catalogue().values() for d in logged(cls)}
 
 

@@ -24,18 +24,18 @@ from .table import has_dates, seconds
 class ClockSettings:
     """Settings for choosing the clock column."""
 
-    # Share of rows that may be no later than one before, of a clock that rises all the same.
+    # Share of rows of an increasing clock that may be no later than an earlier one.
     late: float = 0.05
-    # Rows over which changes of position are taken, as many as are needed for noise to be small against them:
-    # over twice as many, the position then changes about as fast.
+    # Rows over which changes of position are taken, as many as are needed for small noise: over twice as
+    # many, the speed is then about the same.
     spans: tuple[int, ...] = (10, 20, 40, 80, 160, 320)
     steady: float = 1.2
     same: float = 1.5  # factor within which they and the speed are the same
-    fastest: float = 50.0  # m/s that no vehicle in water goes
+    fastest: float = 50.0  # m/s that no vehicle in water reaches
     # Share of the log by which times of too few digits may be off evenly spaced rows: the interval is then
     # known to one percent.
     even: float = 0.01
-    slowest: float = 0.01  # m/s that one does that is worth a log
+    slowest: float = 0.01  # m/s that a logged vehicle exceeds
 
 
 SETTINGS = ClockSettings()
@@ -47,16 +47,16 @@ def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, w
         return spacing_of(str(time.entry["interval"])) * np.arange(float(table.height))
     if time.column not in data:
         return seconds(table, time.column, where)[0]
-    return _counted(data, time)
+    return _clock_seconds(data, time)
 
 
 def columns_of(time: Guess) -> tuple[str, ...]:
-    """The columns that a clock stands in: one, or those of seconds and nanoseconds."""
+    """The columns of a clock: one, or those of seconds and nanoseconds."""
     rest = time.entry.get("nanoseconds")
     return (time.column,) if rest is None else (time.column, str(rest))
 
 
-def _counted(data: Mapping[str, Array], time: Guess) -> Array:
+def _clock_seconds(data: Mapping[str, Array], time: Guess) -> Array:
     """Times, s, of a clock of numbers."""
     name, *rest = columns_of(time)
     halves = {name: rest[0]} if rest else {}
@@ -64,19 +64,19 @@ def _counted(data: Mapping[str, Array], time: Guess) -> Array:
 
 
 def halves_of_stamps(names: Iterable[str]) -> dict[str, str]:
-    """Columns of seconds with those of the nanoseconds that belong to them: alike but for these words."""
-    there = [*names]
-    alike = {name: found[1] for name in there if (found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name))}
+    """Columns of seconds with those of their nanoseconds: the same names but for these words."""
+    names = [*names]
+    stems = {name: found[1] for name in names if (found := re.fullmatch(r"(.*?)(?:secs?|seconds)", name))}
     ends = ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")
     return {
         name: other
-        for name, begin in alike.items()
-        if (other := next((begin + end for end in ends if begin + end in there), ""))
+        for name, stem in stems.items()
+        if (other := next((stem + end for end in ends if stem + end in names), ""))
     }
 
 
 def with_nanoseconds(data: Mapping[str, Array], halves: Mapping[str, str]) -> dict[str, Array]:
-    """The columns, those of seconds with the nanoseconds added, which are no columns of their own then."""
+    """The columns, with the nanoseconds added to those of seconds, and removed."""
     whole = {name: data[name] + 1e-9 * data[other] for name, other in halves.items()}
     return {n: whole.get(n, column) for n, column in data.items() if n not in halves.values()}
 
@@ -96,12 +96,12 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     unit = "iso" if dated else stated or unit_by_steps(times, step)
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
-    said = "" if stated or dated else _asked_of_clock(step, unit, one)
+    said = "" if stated or dated else _unit_question(step, unit, one)
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     entry |= {"nanoseconds": halves[found]} if found in halves else {}
     if rate > MEASURABLE.fast and np.all(sampled):
         asked.append(f"{rate:.3g} rows a second: every = {round(rate / MEASURABLE.enough)} would do at first")
-    late = _late(times)
+    late = _share_out_of_order(times)
     if late:
         entry["disorder"] = "drop"
         asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
@@ -115,7 +115,7 @@ def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, 
         first = rounded[0] * SECONDS[_unit(time.column, rounded)]
         return np.asarray(first + times_of_rows(table, data, time, where))
     if time.column in data:
-        return _counted(data, time)
+        return _clock_seconds(data, time)
     if table[time.column].dtype in (pl.Datetime, pl.Date):
         table = table.with_columns(pl.col(time.column).cast(pl.Datetime("ns")))
     t, first, origin = seconds(table, time.column, where)
@@ -123,10 +123,10 @@ def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, 
 
 
 def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[Guess, Array]:
-    """The clock, and times in s, in the unit in which the change of position is that of its speed.
+    """The clock, and times in s, in the unit in which the change of position agrees with the speed.
 
     Minutes, hours and days are tried where no name states a unit: one in which position and speed (m, m/s)
-    agree, or in which a vehicle can go as far where no speed was logged.
+    agree, or in which the speed of the vehicle is possible where none was logged.
     """
     unit = str(time.entry.get("unit", "iso"))
     if unit == "iso" or unit_of_clock(time.column):
@@ -135,7 +135,7 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     speed = np.hypot(moved.get("u", np.nan * t), moved.get("v", 0.0 * t)) if "u" in moved else t * np.nan
     logged = float(np.nanmedian(speed)) if np.isfinite(speed).any() else np.nan
     others = {u: pace * SECONDS[unit] / SECONDS[u] for u in ("min", "h", "day") if u != unit}
-    fits = _agreeing if np.isfinite(logged) else _possible
+    fits = _same_speed if np.isfinite(logged) else _possible_speed
     if not pace > 0 or fits(pace, logged):
         return time, t
     known = f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle is as fast or slow"
@@ -151,11 +151,11 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     return Guess(time.column, {**time.entry, "unit": better}, asked), t * scale
 
 
-def _agreeing(pace: float, speed: float) -> bool:
+def _same_speed(pace: float, speed: float) -> bool:
     return 1.0 / SETTINGS.same < pace / max(speed, 1e-12) < SETTINGS.same
 
 
-def _possible(pace: float, speed: float) -> bool:
+def _possible_speed(pace: float, speed: float) -> bool:
     return SETTINGS.slowest < pace < SETTINGS.fastest
 
 
@@ -165,11 +165,11 @@ def _pace(t: Array, moved: Mapping[str, Array]) -> float:
         return 0.0
     there = np.isfinite(t) & np.isfinite(moved["x"]) & np.isfinite(moved["y"])
     x, y, t = moved["x"][there], moved["y"][there], t[there]
-    paces = [_over(step, x, y, t) for step in SETTINGS.spans if len(t) > 2 * step]
+    paces = [_pace_over(step, x, y, t) for step in SETTINGS.spans if len(t) > 2 * step]
     return next((a for a, b in pairwise(paces) if a < SETTINGS.steady * b), 0.0)
 
 
-def _over(step: int, x: Array, y: Array, t: Array) -> float:
+def _pace_over(step: int, x: Array, y: Array, t: Array) -> float:
     far, long = np.hypot(x[step:] - x[:-step], y[step:] - y[:-step]), t[step:] - t[:-step]
     return float(np.median(far / np.maximum(long, 1e-12)))
 
@@ -179,7 +179,7 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
 
     A clock of too few digits is better than a column of another name: its rows are evenly spaced.
     """
-    late = {n: _late(column) for n, column in data.items()}
+    late = {n: _share_out_of_order(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
     texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
@@ -200,7 +200,7 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
 
 
 def _rounded(name: str, times: Array) -> Guess | None:
-    """A clock of too few digits, if evenly spaced rows are as close to it as these digits allow."""
+    """A clock of too few digits, if evenly spaced rows agree with it to these digits."""
     steps = np.diff(times)
     if not is_clock(name) or not np.isfinite(times).all() or not len(steps) or np.any(steps < 0.0):
         return None
@@ -222,7 +222,7 @@ def _unit(name: str, times: Array) -> str:
     return unit_of_clock(name) or unit_by_steps(times, (times[-1] - times[0]) / (len(times) - 1))
 
 
-def _late(times: Array) -> float:
+def _share_out_of_order(times: Array) -> float:
     """Share of the times that are no later than one before; rows without one end a log that was cut off."""
     there = times[np.isfinite(times)]
     return 1.0 - float(np.mean(later_than_before(there))) if len(there) > 1 else 1.0
@@ -261,7 +261,7 @@ def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
 
 
 def unit_by_steps(t: Array, step: float) -> str:
-    """The unit in which a clock since 1970, or else the time from row to row, makes sense."""
+    """The unit in which a clock counts from 1970, or else the step from row to row is usual."""
     for unit in ("ns", "us", "ms"):
         if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
             return unit
@@ -269,12 +269,12 @@ def unit_by_steps(t: Array, step: float) -> str:
 
 
 _EVEN = 'state the sampling interval, if it is constant: --interval "0.1 s", or interval under [time]'
-# Units that a clock counts without saying so; minutes, hours and days are asked about.
+# Units that are assumed for a clock without one; minutes, hours and days are asked about.
 _GUESSED = ("s", "ms", "us", "ns")
 
 
-def _asked_of_clock(step: float, unit: str, one: str) -> str:
-    """Ask for a unit that is not stated, with the steps in it, and in rarer ones if these fit better."""
+def _unit_question(step: float, unit: str, one: str) -> str:
+    """Question on a unit that is not stated, with the rate in it, and in rarer ones if these are likelier."""
     as_guessed = far_from_usual(step * SECONDS[unit])
     better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
     here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))

@@ -22,13 +22,13 @@ class FrameSettings:
 
     # Times over which motions are compared, s: long against noise, short against drift.
     over: tuple[float, ...] = (1.0, 5.0, 20.0)
-    agrees: float = 0.5  # share of the motion that may be left where axes agree
-    clearly: float = 0.6  # share of the next best that the best may leave at most
+    agrees: float = 0.5  # share of the motion that may be unexplained where axes agree
+    clearly: float = 0.6  # that share of the best, over that of the next best, at most
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
-    like: float = 0.9  # correlation of a rate with the change of the heading
+    correlation_limit: float = 0.9  # correlation of a rate with the change of the heading
     rounded: float = 1e-2  # how far the length of a quaternion may be from one
     many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
-    upright: float = 0.01  # mean square of a part of a quaternion that says nothing of its place
+    upright: float = 0.01  # mean square of x and y of a quaternion below which they do not identify w
 
 
 SETTINGS = FrameSettings()
@@ -48,28 +48,19 @@ _ENTRIES: dict[str, tuple[dict[str, str], tuple[bool, bool, bool, bool]]] = {
         {"position": "ENU", "body": "FRD", "attitude": "NED"},
         (True, False, False, False),
     ),
-    "sway to port": (
-        {"position": "NED", "body": "FLU", "attitude": "NED"},
-        (False, True, False, False),
-    ),
+    "sway to port": ({"position": "NED", "body": "FLU", "attitude": "NED"}, (False, True, False, False)),
     "x east, y north and sway to port": (
         {"position": "ENU", "body": "FLU", "attitude": "NED"},
         (True, True, False, False),
     ),
-    _EARTH: (
-        {"position": "NED", "body": "FRD", "velocity": "NED"},
-        (False, False, True, False),
-    ),
-    _EAST: (
-        {"position": "NED", "body": "FRD", "velocity": "ENU"},
-        (False, False, True, True),
-    ),
+    _EARTH: ({"position": "NED", "body": "FRD", "velocity": "NED"}, (False, False, True, False)),
+    _EAST: ({"position": "NED", "body": "FRD", "velocity": "ENU"}, (False, False, True, True)),
 }
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Keys of [frames] in a mapping file, and what the log does not say."""
+    """Keys of [frames] in a mapping file, and questions that the log does not answer."""
 
     entry: Mapping[str, str] = field(default_factory=lambda: dict(_ENTRIES[_HERE][0]))
     questions: tuple[str, ...] = ()
@@ -90,7 +81,7 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
     if "u" not in channels:
         course = "A vehicle that goes ahead moves where its heading points: does it, with these axes?"
         return Axes(questions=(f"{_WHICH} {course}", _HEADING))
-    left = _left(t, channels)
+    left = _best_unexplained_shares(t, channels)
     if len(left) < 2:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
@@ -102,20 +93,20 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
     return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes: is that right?", *doubts))
 
 
-def _left(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
-    """Share of the change of position that velocities leave, by what the axes may be.
+def _best_unexplained_shares(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
+    """Share of the change of position that velocities leave unexplained, by possible axes.
 
-    Over the time of those in the settings that leaves least: long where the position is noisy.
+    Over the one of the times in the settings with the smallest share: long where the position is noisy.
     """
-    found = [_left_over(seconds, t, channels) for seconds in SETTINGS.over]
+    found = [_unexplained_shares(seconds, t, channels) for seconds in SETTINGS.over]
     return min(found, key=lambda shares: min(shares.values(), default=np.inf))
 
 
-def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
+def _unexplained_shares(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
     zero = np.zeros_like(t)
     known = np.array([t, *(channels.get(name, zero) for name in ("x", "y", "psi", "u", "v"))])
     t, x, y, psi, u, v = known[:, np.all(np.isfinite(known), axis=0)]
-    step = _rows(seconds, t)
+    step = _rows_in(seconds, t)
     if len(t) <= 2 * step:
         return {}
     motion = np.sqrt(np.mean(_change(x, step) ** 2 + _change(y, step) ** 2))
@@ -124,16 +115,16 @@ def _left_over(seconds: float, t: Array, channels: Mapping[str, Array]) -> dict[
         side = -v if port else v
         ahead = v + 1j * u if east else u + 1j * side
         across = 1.0 if earth else np.exp(1j * psi)
-        moved = _change(_summed(ahead * across, t), step)
-        went = _change(y + 1j * x if swapped else x + 1j * y, step)
-        found[name] = float(np.sqrt(np.mean(np.abs(went - moved) ** 2)) / max(motion, 1e-12))
+        by_velocity = _change(_summed(ahead * across, t), step)
+        by_position = _change(y + 1j * x if swapped else x + 1j * y, step)
+        found[name] = float(np.sqrt(np.mean(np.abs(by_position - by_velocity) ** 2)) / max(motion, 1e-12))
     return found
 
 
 def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
-    """ "rad" or "deg" where jumps by a turn, or the change of position, tell; "" where nothing does."""
-    there = psi[np.isfinite(psi)]
-    steps, span = np.abs(np.diff(there)), float(np.ptp(there)) if len(there) else 0.0
+    """ "rad" or "deg" by jumps of a full turn, or by the change of position; "" where neither decides."""
+    finite = psi[np.isfinite(psi)]
+    steps, span = np.abs(np.diff(finite)), float(np.ptp(finite)) if len(finite) else 0.0
     for unit, turn in (("rad", 2 * np.pi), ("deg", 360.0)):
         # A heading that jumps by a turn has no wider range than that.
         far = steps[steps > turn / 2] if span < (1.0 + SETTINGS.jump) * turn else steps[:0]
@@ -143,15 +134,15 @@ def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
         return ""
     units = {"rad": psi, "deg": np.radians(psi)}
     left = {
-        unit: min(_left(t, {**channels, "psi": values}).values(), default=1.0)
+        unit: min(_best_unexplained_shares(t, {**channels, "psi": values}).values(), default=1.0)
         for unit, values in units.items()
     }
     best, other = sorted(left, key=lambda unit: left[unit])
     return best if left[best] < SETTINGS.clearly * left[other] else ""
 
 
-def _rows(seconds: float, t: Array) -> int:
-    """Rows that pass in a time."""
+def _rows_in(seconds: float, t: Array) -> int:
+    """Number of rows in a time."""
     return max(1, round(seconds / max(float(np.median(np.diff(t))), 1e-9))) if len(t) > 1 else 1
 
 
@@ -164,19 +155,19 @@ def _summed(rate: Any, t: Array) -> Any:
 
 
 def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[str, float]:
-    """The column that the heading changes with, and rad/s in one of its units; ("", 1) for none."""
-    found, best = ("", 1.0), SETTINGS.like
+    """The column of the derivative of the heading, and rad/s in one of its units; ("", 1) for none."""
+    found, best = ("", 1.0), SETTINGS.correlation_limit
     for name, rate in rates.items():
-        there = np.isfinite(psi) & np.isfinite(rate) & np.isfinite(t)
-        if there.sum() < 20 or np.ptp(rate[there]) == 0.0:
+        finite = np.isfinite(psi) & np.isfinite(rate) & np.isfinite(t)
+        if finite.sum() < 20 or np.ptp(rate[finite]) == 0.0:
             continue
-        step = _rows(SETTINGS.over[0], t[there])
-        turned = _change(np.unwrap(psi[there]), step)
-        expected = _change(_summed(rate[there], t[there]), step)
+        step = _rows_in(SETTINGS.over[0], t[finite])
+        turned = _change(np.unwrap(psi[finite]), step)
+        expected = _change(_summed(rate[finite], t[finite]), step)
         size = float(np.sum(expected**2) * np.sum(turned**2)) ** 0.5
-        alike = abs(float(np.sum(expected * turned))) / size if size > 0 else 0.0
-        if alike > best:
-            best, found = alike, (name, float(np.sum(expected * turned) / np.sum(expected**2)))
+        correlation = abs(float(np.sum(expected * turned))) / size if size > 0 else 0.0
+        if correlation > best:
+            best, found = correlation, (name, float(np.sum(expected * turned) / np.sum(expected**2)))
     return found
 
 
@@ -209,7 +200,7 @@ def _in_formula(name: str) -> str:
 
 # --- attitudes ------------------------------------------------------------------------------------
 def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
-    """Columns w, x, y, z of a quaternion: alike but for these letters, and of length one; none: ()."""
+    """Columns w, x, y, z of a quaternion: names that differ in these letters, of length one; none: ()."""
     for name in data:
         letters = {"w": "wxyz", "W": "WXYZ"}.get(name[-1:], "")
         found = tuple(name[:-1] + letter for letter in letters)
@@ -219,9 +210,9 @@ def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
 
 
 def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
-    """Columns w, x, y, z of a quaternion that only their numbers show; none: ().
+    """Columns w, x, y, z of a quaternion by their values alone; none: ().
 
-    They stand beside each other, are called alike but for a letter or a number, and are of length one.
+    They are adjacent, their names differ in a letter or a number, and they are of length one.
     """
     names = [*data]
     for four in zip(names, names[1:], names[2:], names[3:], strict=False):
@@ -244,7 +235,7 @@ def _scalar_is_last(columns: Sequence[Array]) -> bool:
     return last > first if max(first, third) < SETTINGS.upright else first < third
 
 
-_LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # what tells one column of a vector from the next
+_LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # in which columns of a vector differ
 
 
 def _is_flag(values: Array) -> bool:
@@ -254,8 +245,8 @@ def _is_flag(values: Array) -> bool:
 
 def _is_unit(columns: Sequence[Array]) -> bool:
     length = np.sqrt(sum(c**2 for c in columns))
-    there = np.isfinite(length)
-    return bool(there.any() and np.all(np.abs(length[there] - 1.0) < SETTINGS.rounded))
+    finite = np.isfinite(length)
+    return bool(finite.any() and np.all(np.abs(length[finite] - 1.0) < SETTINGS.rounded))
 
 
 def formulas(names: Sequence[str]) -> dict[str, str]:
@@ -272,7 +263,7 @@ def formulas(names: Sequence[str]) -> dict[str, str]:
 # --- a mapping that was guessed -------------------------------------------------------------------
 @dataclass(frozen=True)
 class Guess:
-    """What a column may be: keys and values of its entry in the mapping file, and what is not sure."""
+    """The likely meaning of a column: keys and values of its entry in the mapping file, and the doubt."""
 
     column: str
     entry: Mapping[str, object]
@@ -290,20 +281,20 @@ class Guess:
 
     def line(self) -> str:
         """The entry in TOML, after its question."""
-        key, said = (self.channel, {"channel"}) if self.is_formula else (self.column, set())
-        inside = ", ".join(f"{k} = {_toml(value)}" for k, value in self.entry.items() if k not in said)
+        key, omitted = (self.channel, {"channel"}) if self.is_formula else (self.column, set())
+        inside = ", ".join(f"{k} = {_toml(value)}" for k, value in self.entry.items() if k not in omitted)
         asked = f"# ? {self.doubt}\n" if self.doubt else ""
         return f"{asked}{_key(key)} = {{ {inside} }}"
 
 
 @dataclass(frozen=True)
 class GuessedMapping:
-    """A mapping file in the making.
+    """A draft of a mapping file.
 
-    time: column, unit, and what was seen of the rate.
-    questions: what only those who made the log can answer.
+    time: column, unit, and a question on the rate.
+    questions: those that only the people who made the log can answer.
     ignored: columns that are left out, by the reason.
-    reading: how the text of the table is written.
+    reading: format of the text of the table.
     """
 
     log: str
@@ -325,7 +316,7 @@ class GuessedMapping:
 
     @property
     def meaning(self) -> LogMapping:
-        """What the mapping file says."""
+        """The draft as a mapping."""
         return LogMapping.model_validate(tomllib.loads(self.text()))
 
     def text(self) -> str:

@@ -27,8 +27,8 @@ _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s", "deg/min"}
 # "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
 _NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "deg/min", "m/s^2"}
-# Units of what is consumed or sensed beside the motion; in brackets alone: "w" is a heave velocity.
-_OF_ELSE = {"w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh"}
+# Units of quantities other than motions and commands; in brackets alone: "w" is a heave velocity.
+_OTHERS = {"w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh"}
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
     "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,
@@ -81,7 +81,7 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
     "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
-# What a motor consumes or how warm it is drives nothing.
+# Consumption and temperature of a motor are no commands.
 _CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
 _HEADER = {"header", "seq", "covariance", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
@@ -182,7 +182,7 @@ class Name:
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
         words = _with_dots(_apart(words))
         if bracket is not None:
-            return cls(column, tuple(words), known_unit(bracket[1]) or _OF_ELSE.get(bracket[1].lower(), ""))
+            return cls(column, tuple(words), known_unit(bracket[1]) or _OTHERS.get(bracket[1].lower(), ""))
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
             speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
@@ -195,7 +195,7 @@ class Name:
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Distance of the name from that of a plain measurement; the least wins."""
+        """Distance of the name from that of a measurement; the smallest is chosen."""
         motions = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_EARTH_SPEEDS, *_SIDEWAYS}
         known = {*motions, *_RANK, *_PLAIN}
         least = 2 if self.is_height else 1  # a depth is what the vehicle feels
@@ -221,7 +221,7 @@ class Name:
 
     @property
     def is_speed(self) -> bool:
-        """Whether it is the speed of the vehicle along no axis in particular, as that over ground."""
+        """Whether it is the speed of the vehicle along no particular axis, such as that over ground."""
         words = {*self.words}
         along = words & {"speed", "velocity", "vel", "sog"} and not words - {
             *_OF_SPEED,
@@ -233,7 +233,7 @@ class Name:
 
     @property
     def of_header(self) -> bool:
-        """Whether it is of the head of a message, or says how good a measurement is."""
+        """Whether it is of the header of a message, or the quality of a measurement."""
         return bool(_HEADER & {*self.words}) or {"frame", "id"} <= {*self.words}
 
     @property
@@ -306,7 +306,7 @@ class Name:
 
     @property
     def is_motion_by_unit(self) -> bool:
-        """Whether nothing but the unit says that a place or an angle is one of a velocity."""
+        """Whether only its unit shows that a position or an angle is a velocity."""
         of_motion = {*_MOVES, *_OF_SPEED, *_OF_RATE, *_SIDEWAYS}
         return self.unit in {*_SPEEDS, *RATES, "rev/s"} and not of_motion & set(self.words)
 
@@ -316,7 +316,7 @@ class Name:
         return _COUNTS.get(self.unit) or next((_COUNTED[w] for w in self.unnumbered if w in _COUNTED), "")
 
     def fits(self, command: str, unit: str, axes: Mapping[str, str]) -> tuple[float, int]:
-        """How badly a column fits a command of a vehicle: its name, and what it counts; the least wins."""
+        """Distance of a column from a command of a vehicle, by name and quantity; the smallest is chosen."""
         wanted = _COUNTS.get(unit, unit)
         name = self.drives(command, axes)
         if name == NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
@@ -324,7 +324,7 @@ class Name:
         return name, 0 if self.counts == wanted else 2 if self.counts else 1
 
     def senses(self, quantity: str, unit: str) -> tuple[float, int]:
-        """How badly a column fits a logged quantity, such as the speed of the wind; the least wins."""
+        """Distance of a column from a logged quantity, such as the wind speed; the smallest is chosen."""
         wanted, words = quantity.lower().split("_"), set(self.words)
         if self.column.lower() == quantity.lower():
             return 0.0, 0
@@ -348,7 +348,7 @@ class Name:
         return ""
 
     def drives(self, command: str, axes: Mapping[str, str]) -> float:
-        """How badly a column fits a command: 0 the same name, 1 the same words, more for others.
+        """Distance of a name from that of a command: 0 the same name, 1 the same words, more for others.
 
         `axes`: the force or moment that is all of what a command gives, by the command.
         """
@@ -356,7 +356,7 @@ class Name:
         also = [other for word in wanted for other in _ALSO.get(word, ())]
         if self.column.lower() == command.lower():
             return 0.0
-        if self.unit in {*_NO_COMMANDS, *_OF_ELSE.values()}:
+        if self.unit in {*_NO_COMMANDS, *_OTHERS.values()}:
             return NO_FIT
         if set(wanted) <= set(self.words):
             return 1.0
@@ -370,17 +370,17 @@ class Name:
         return 3.0 if alike else NO_FIT
 
     def is_surely(self, command: str, axes: Mapping[str, str]) -> bool:
-        """Whether a column is called like a command, with no more than one word of another meaning beside."""
+        """Whether a name is that of a command, with at most one word of another meaning."""
         words = {word.removesuffix("s") for word in self.words} - {*command.lower().split("_")}
         return self.drives(command, axes) < 2.0 and len(words - _DRIVES - _CONTAINERS) < 2
 
     @property
     def is_command(self) -> bool:
-        """Whether it looks like what drives a vehicle."""
+        """Whether it looks like a command of a vehicle."""
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        other = {"limit", *_CONSUMED} & {*self.words} or self.unit in _OF_ELSE.values()
+        other = {"limit", *_CONSUMED} & {*self.words} or self.unit in _OTHERS.values()
         return drives and not other and not self.of_header
 
     @property
@@ -501,7 +501,7 @@ def is_force(name: str) -> bool:
 
 
 def is_wanted(name: str) -> bool:
-    """Whether a name means what was wanted of a motion, or how far off it was, and not the motion."""
+    """Whether a name means a set-point or an error of a motion, and not the motion."""
     return bool({*Name.of(name).words} & WANTED)
 
 

@@ -67,7 +67,7 @@ class Column(_Strict):
         return values if self.off is None else np.where(cells == self.off, 0.0, values)
 
     def in_units_of(self, factor: float) -> Column:
-        """The column with one unit as so many of another, in which its channel is wanted as it is."""
+        """The column scaled by a factor to the unit of its channel, which it then no longer states."""
         return self.model_copy(
             update={"unit": None, "scale": factor * self.scale, "offset": factor * self.offset}
         )
@@ -83,7 +83,7 @@ class Channel(_Strict):
     wrapped: bool | None = None  # as for a column
 
     def in_units_of(self, factor: float) -> Channel:
-        """The formula with one unit as so many of another, in which its channel is wanted as it is."""
+        """The formula scaled by a factor to the unit of its channel, which it then no longer states."""
         return self.model_copy(update={"unit": None, "expression": f"{factor!r} * ({self.expression})"})
 
     @field_validator("expression")
@@ -96,7 +96,7 @@ class Channel(_Strict):
 
     @property
     def formula(self) -> Formula:
-        """The expression, read."""
+        """The parsed expression."""
         return Formula(self.expression)
 
 
@@ -148,7 +148,7 @@ class Time(_Strict):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that the time stands in."""
+        """The columns of the time."""
         return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
 
 
@@ -249,7 +249,7 @@ def read_mapping(path: str | Path) -> LogMapping:
             f"mapping file {path} has schema {data.get('schema')!r}: write schema = {SCHEMA!r} on top"
         )
     mapping = validated(data, LogMapping, f"mapping file {path}")
-    _refuse_twins(mapping, path)
+    _refuse_duplicate_channels(mapping, path)
     return mapping
 
 
@@ -284,7 +284,7 @@ def _table_of(entries: dict[str, Any]) -> Table:
     return table
 
 
-def _refuse_twins(mapping: LogMapping, path: Path) -> None:
+def _refuse_duplicate_channels(mapping: LogMapping, path: Path) -> None:
     seen: dict[str, str] = {}
     for name, column in mapping.columns.items():
         if column.channel in seen:
@@ -520,7 +520,7 @@ _HOW = (
 # --- what formats of logs state in other ways: quaternions, latitudes and longitudes, pressures ---
 ANGLES = ("phi", "theta", "psi")
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
-"""Seconds in the units that clocks count, the likelier first."""
+"""Seconds in the units of clocks, the likelier first."""
 
 
 def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:
@@ -562,7 +562,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class PressureSettings:
-    """How a pressure becomes a depth."""
+    """Conversion of pressure to depth."""
 
     density: float = 1025.0  # kg/m^3: sea water; in fresh water a depth is 2.5 % more
     gravity: float = 9.81  # m/s^2
@@ -631,7 +631,7 @@ def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
 
 
 def reassigned(mapping: LogMapping, places: Mapping[str, tuple[str, float]]) -> Edits:
-    """Let columns of channels become others: channel to (channel that its column stands for now, sign).
+    """Assign columns of channels to others: channel to (channel that its column has now, sign).
 
     Formulas are exchanged among themselves. Between a formula and a column nothing is said: the line of the
     formula would have to go.
@@ -672,7 +672,7 @@ def column_of(mapping: LogMapping, channel: str) -> tuple[str, Column]:
 
 
 def frames_edits(mapping: LogMapping, position: str, body: str, attitude: str) -> Edits:
-    """Say the three frames; what the mapping says already, or need not say, is left out.
+    """State the three frames, except those that the mapping states already, or that are defaults.
 
     Velocities along the earth have the axes of the position, which they turn with.
     """
@@ -711,7 +711,7 @@ def as_toml(edits: Iterable[Edit]) -> str:
 
 
 def read_edits(lines: str) -> Edits:
-    """The changes that the lines of a finding stand for: the way back of `as_toml`."""
+    """The changes in the lines of a finding: the inverse of `as_toml`."""
     content = tomllib.loads(lines)
     tables = {key: value for key, value in content.items() if isinstance(value, dict)}
     on_top = [Edit("", key, value) for key, value in content.items() if key not in tables]

@@ -39,7 +39,7 @@ from .table import (
     with_even_times,
 )
 
-# --- what a log must be before anything is computed from it ---------------------------------------
+# --- checks before anything is computed from a log ------------------------------------------------
 
 
 def check_time(t: Array, column: str, where: str) -> None:
@@ -113,7 +113,7 @@ def check_finite(name: str, t: Array, data: Array, where: str) -> None:
 
 
 def empty(name: str, samples: int, where: str) -> str:
-    """What to say of a channel without any value."""
+    """The message on a channel without any value."""
     return (
         f"{where}: channel {name!r} has no value in any of {samples} samples: remove the column, or name it "
         "under `ignore` in a mapping file"
@@ -123,10 +123,10 @@ def empty(name: str, samples: int, where: str) -> str:
 def fill_commands(
     name: str, t: Array, data: Array, policy: str, where: str, before: float = np.nan
 ) -> tuple[Array, str]:
-    """Deal with missing samples of a command; return the command and a note, empty where none was missing.
+    """Fill missing samples of a command; return the command and a note, empty where none was missing.
 
-    The policy is "refuse", "hold" (the last value stays, as of a thruster; before the first sample it is
-    `before`) or "gap" (left missing).
+    The policy is "refuse", "hold" (the last value is held; before the first sample it is `before`) or "gap"
+    (left missing).
     """
     missing = np.flatnonzero(np.isnan(data))
     if not len(missing):
@@ -168,7 +168,7 @@ def refuse_constant(run: Run, names: Iterable[str]) -> None:
         )
 
 
-def refuse_twins(runs: Iterable[Run]) -> None:
+def refuse_duplicates(runs: Iterable[Run]) -> None:
     """Refuse duplicate data: they would be validated on training data, or count twice."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
@@ -210,21 +210,21 @@ def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
 def check_fit(runs: Sequence[Run], validation: Sequence[Run], vehicle: Vehicle) -> None:
     """Refuse logs that cannot be fitted: given twice, too long, with a velocity that never changes.
 
-    Such a velocity would drive parameters to a heavy or stiff vehicle.
+    A fit to such a velocity would make the vehicle heavy or its motion stiff.
     """
     total = 0
     for run in (*runs, *validation):
         total += len(run.t)
         refuse_too_many(total, run.source or run.name)
         refuse_other_speeds(run, vehicle)
-    refuse_twins([*runs, *validation])
+    refuse_duplicates([*runs, *validation])
     dead = [constant_channels(run, vehicle.velocity_names) for run in runs]
     if dead:
         refuse_constant(runs[0], [name for name in dead[0] if all(name in found for found in dead)])
 
 
 def with_distinct_names(runs: list[Run]) -> list[Run]:
-    """Runs with names that tell them apart: ending or folder are added where file names are the same."""
+    """Runs with distinct names: ending or folder are added where file names are the same."""
     count = Counter(run.name for run in runs)
     ended = Counter((run.name, _ending(run)) for run in runs)
 
@@ -251,17 +251,16 @@ FieldLogs = dict[Path, FieldLog]
 
 @dataclass(frozen=True)
 class Opened:
-    """Rows of a log, and what they mean."""
+    """Rows of a log, and their mapping."""
 
     table: pl.DataFrame  # a row for every time; of a vehicle's own log the columns that are read
-    mapping: LogMapping  # the one that was given, or what the format of the log says
+    mapping: LogMapping  # the one that was given, or that of the format of the log
     sha256: str  # of the bytes of the file
-    # what the reader of a vehicle's own log said, its format first; empty for a table
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # of the reader of a vehicle's own log, its format first; empty for a table
 
 
 def field_log(path: Path, mapping: LogMapping | None, known: FieldLogs | None = None) -> FieldLog | None:
-    """A log as its vehicle wrote it; None for a table. What is opened is added to those that are `known`."""
+    """A log as its vehicle wrote it; None for a table. A log that is opened is added to `known`."""
     if known is not None and path in known:
         return known[path]
     log = open_field_log(path, mapping.messages if mapping else None)
@@ -277,7 +276,7 @@ def opened_field_log(
     also: Sequence[str] = (),
     window: Window = (None, None),
 ) -> Opened:
-    """The table of a vehicle's own log, by a mapping or by what its format says.
+    """The table of a vehicle's own log, by a mapping or by that of its format.
 
     It must have the `commands`; those in `also` are read where it has them. The window is in s of the run's
     clock.
@@ -289,14 +288,14 @@ def opened_field_log(
             f"{meaning.time.interval!r} from [time] in the mapping file"
         )
     if mapping is None:
-        _refuse_other_motors(log, meaning, commands)
+        _refuse_unmatched_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
-    table = log.table(columns_read(_without_lacking(log, meaning, commands)), (low, high))
-    said = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
-    return Opened(table, meaning, log.sha256, said)
+    table = log.table(columns_read(_without_absent_columns(log, meaning, commands)), (low, high))
+    notes = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
+    return Opened(table, meaning, log.sha256, notes)
 
 
-def _without_lacking(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> LogMapping:
+def _without_absent_columns(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> LogMapping:
     """The mapping without optional columns that a log does not have."""
     required = meaning.required(commands)
     kept = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
@@ -313,7 +312,7 @@ def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHO
     return Opened(with_even_times(table, meaning), meaning, hashlib.sha256(data).hexdigest())
 
 
-def _refuse_other_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
+def _refuse_unmatched_motors(log: FieldLog, meaning: LogMapping, commands: Iterable[str]) -> None:
     """Refuse a log whose motors cannot be the commands of a vehicle."""
     known = {*(column.channel for column in meaning.columns.values())}
     lacking = [name for name in commands if name not in known]
@@ -350,8 +349,8 @@ def times_of(
     return scale * since + offset + spec.offset, origin, notes
 
 
-def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:
-    """The parts of a table that are numbered in a column, in the order of time; all of it without one."""
+def segments_in(table: pl.DataFrame, column: str | None, where: str) -> list[pl.DataFrame]:
+    """The segments of a table that are numbered in a column, in the order of time; all of it without one."""
     if column is None:
         return [table]
     must_have(column, table.columns, where, "column of segments,")
@@ -359,12 +358,12 @@ def stretches_of(table: pl.DataFrame, column: str | None, where: str) -> list[pl
         column, maintain_order=True, include_key=False
     )
     if not parts:
-        raise UndertowError(nothing_numbered(column, where))
+        raise UndertowError(no_segment(column, where))
     return parts
 
 
-def nothing_numbered(column: str, where: str) -> str:
-    """What to say of a log none of whose rows is in a segment."""
+def no_segment(column: str, where: str) -> str:
+    """The message on a log none of whose rows is in a segment."""
     return (
         f"{where}: no row has a number in column {column!r}, so nothing is left: remove `stretch` "
         "from [time] in the mapping file to use all of it"
@@ -415,13 +414,13 @@ def _delimiter_hint(columns: Sequence[str]) -> str:
 def save_log(run: Run, out: Path) -> Path | None:
     """Write a run as CSV with the channel names and SI units of undertow; the path of its mapping file.
 
-    Of a channel that does not report in every row only the reports are written, and nothing that was derived
-    from other channels: whoever reads the file derives it again. Noise of sensors and disturbance that were
-    stated go into a mapping file of the same name next to it.
+    Of a channel that does not report in every row only the reports are written, and channels derived from
+    others are left out, as they are derived again when the file is read. Stated noise of sensors and
+    disturbance go into a mapping file of the same name next to it.
     """
     measured = {name: run.reports(name) for name in run.channels if name not in run.derived}
     table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
-    stated, beside = _stated(run), out.with_suffix(".toml")
+    stated, beside = _stated_mapping(run), out.with_suffix(".toml")
     with together():
         write_whole(out, table.write_csv())
         if stated is not None:
@@ -429,8 +428,8 @@ def save_log(run: Run, out: Path) -> Path | None:
     return beside if stated is not None else None
 
 
-def _stated(run: Run) -> LogMapping | None:
-    """The mapping file that states noise, disturbance and rig of a run; None where none is stated."""
+def _stated_mapping(run: Run) -> LogMapping | None:
+    """The mapping with the stated noise, disturbance and rig of a run; None where none is stated."""
     given = run.mapping or LogMapping()
     if run.mapping is None:
         named = set(run.sigma)
@@ -446,18 +445,13 @@ def _stated(run: Run) -> LogMapping | None:
 
 
 def computed(
-    table: pl.DataFrame,
-    name: str,
-    channel: Channel,
-    mapping: LogMapping,
-    where: str,
-    commands: Sequence[str],
+    table: pl.DataFrame, name: str, channel: Channel, mapping: LogMapping, where: str, commands: Sequence[str]
 ) -> Array:
     """Values of a channel that is a formula in columns; commands of two clocks are held until they change."""
     formula = channel.formula
     cells = {n: numbers(table, n, mapping, where) for n in formula.columns}
     shared = shared_rows(cells)
-    if name in commands and shared < SERIES.apart:
+    if name in commands and shared < SERIES.shared:
         cells = held_together(cells)
     elif not shared:
         raise UndertowError(

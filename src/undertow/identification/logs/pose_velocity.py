@@ -18,9 +18,9 @@ from .mapping import to_body
 from .run import SERIES, UNITS, Run, with_reports
 
 ORDER = 3  # position, velocity, acceleration
-# Samples at the start of a lane that say more about `diffuse` than about the ratio.
+# Samples at the start of a lane that depend more on `diffuse` than on the ratio.
 _BURN_IN = 2 * ORDER
-# Decades of ratio that are searched. Above the last the noise is lost in the motion of one step anyway.
+# Decades of ratio that are searched. Above the last the noise is negligible beside the motion of one step.
 _GRID = np.arange(-13.0, 4.0)
 
 
@@ -30,24 +30,24 @@ class SmootherSettings:
 
     # Variance of the state before the first sample, in squared standard deviations of the noise.
     diffuse: float = 1e10
-    # Share by which every predicted variance is raised: more than what rounding takes away where one wide
-    # step after a diffuse beginning leaves all three variances in one direction, and little beside the noise.
+    # Share by which every predicted variance is raised: more than the rounding errors where one wide step
+    # after a diffuse start leaves all three variances in one direction, and little beside the noise.
     rounding: float = 1e-14
     outlying: float = 100.0  # squared innovation, over the typical one, that counts in full
-    lost: float = 0.5  # a longer time without a sample is lost tracking, s: what happened in it is unknown
+    lost: float = 0.5  # s without a sample after which tracking is lost: the motion in between is unknown
     lost_steps: float = 4.0  # or this many usual steps, for slow logs
     core: int = 1000  # samples of a lane that are kept
-    likely_lanes: int = 6  # lanes the likelihood is taken from
-    small: float = 0.01  # share of the usual change between samples: an error too small to matter
+    likely_lanes: int = 6  # lanes of which the likelihood is computed
+    small: float = 0.01  # share of the median change between samples: a negligible error
     limit: float = 6.0  # robust standard deviations beyond which a sample is an outlier
-    rounds: int = 40  # of taking out outliers
-    apart: int = 3  # samples by which what is found at once lies apart at least
-    estimates: int = 6  # times the noise is estimated anew after outliers were taken out
-    # Share of samples that may be outliers or shifts. Every one taken out lowers the noise that is estimated
-    # anew, so that more stand out: where ever more of them do, they are the noise, not exceptions to it.
+    rounds: int = 40  # of the removal of outliers
+    separation: int = 3  # smallest distance, in samples, of outliers and jumps that one round finds
+    estimates: int = 6  # of the noise, again after the removal of outliers
+    # Share of samples that may be outliers or shifts. Every one that is removed lowers the estimate of the
+    # noise, so that more stand out: beyond this share they are the noise, not exceptions to it.
     exceptions: float = 0.1
     lanes_at_once: int = 96
-    uncertain: float = 10.0  # times the median standard deviation: such a rate is as good as unknown
+    uncertain: float = 10.0  # times the median standard deviation: such a rate is discarded
     fewest: int = 10  # samples of a pose channel
     still: float = 1e-9  # change of a channel, as a share of its size, that is rounding
 
@@ -57,7 +57,7 @@ SETTINGS = SmootherSettings()
 
 @dataclass(frozen=True)
 class Lanes:
-    """Stretches of samples side by side, the short ones filled up with missing samples."""
+    """Intervals of samples side by side, the short ones padded with missing samples."""
 
     y: Array  # (n, lanes) measured values, NaN where there is none
     step: Array  # (n, lanes) time since the sample before, in units of the usual step
@@ -127,7 +127,7 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
         mean = mean + gain * (measured[k] - mean[:, 0])[:, None]
         seen = covariance[:, 0] * np.where(there[k], 1.0 / variance, 1.0)[:, None]
         covariance = covariance - gain[:, :, None] * gain[:, None, :] * variance[:, None, None]
-        # The same numbers without cancellation: after a jump the difference of two 1e10 would be left.
+        # The same numbers without cancellation: after a jump it would be the difference of two 1e10.
         covariance[:, 0], covariance[:, :, 0] = seen, seen
         after.mean[k], after.covariance[k] = mean, covariance
     return _Filtered(after, before, lanes.y - before.mean[..., 0], before.covariance[..., 0, 0] + 1.0)
@@ -136,9 +136,9 @@ def _filter(lanes: Lanes, ratio: Array) -> _Filtered:
 def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
     """Return the states given all samples of their lane, and the evidence for a jump at each, (n, lanes).
 
-    The latter is what a jump since the sample before would be, in its standard deviations, times that of the
-    noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806). `ratio` (lanes,) is jerk intensity *
-    step^5 / noise variance.
+    The latter is the estimated jump since the sample before over its standard error, times the standard
+    deviation of the noise (de Jong and Penzer, J. Am. Stat. Assoc. 93, 1998, 796-806). `ratio` (lanes,) is
+    jerk intensity * step^5 / noise variance.
     """
     filtered = _filter(lanes, ratio)
     after, before = filtered.after, filtered.before
@@ -150,14 +150,14 @@ def smooth(lanes: Lanes, ratio: Array) -> tuple[States, Array]:
         mean[k] += (gain[k] @ (mean[k + 1] - before.mean[k + 1])[..., None])[..., 0]
         covariance[k] += gain[k] @ (covariance[k + 1] - before.covariance[k + 1]) @ gain[k].swapaxes(-1, -2)
     smoothed = States(mean, covariance)
-    return smoothed, _missed_jumps(before, smoothed)
+    return smoothed, _jump_statistics(before, smoothed)
 
 
-def _missed_jumps(before: States, smoothed: States) -> Array:
+def _jump_statistics(before: States, smoothed: States) -> Array:
     pull = np.linalg.solve(before.covariance, np.eye(ORDER)[:, :1])[..., 0]
     shock = (pull * (smoothed.mean - before.mean)).sum(axis=-1)
     variance = pull[..., 0] - (pull * (smoothed.covariance @ pull[..., None])[..., 0]).sum(axis=-1)
-    known = variance > 1e-6 * pull[..., 0]  # the rest is rounding: nothing was learnt since the sample before
+    known = variance > 1e-6 * pull[..., 0]  # the rest is rounding: no information since the sample before
     return np.divide(shock, np.sqrt(np.where(known, variance, 1.0)), where=known, out=np.zeros_like(shock))
 
 
@@ -203,20 +203,20 @@ class Track:
     # value_sd, rate_sd: (n,) standard deviations of both.
     value_sd: Array
     rate_sd: Array
-    outlier: Flags  # (n,) samples that were not believed
+    outlier: Flags  # (n,) samples that were rejected
     # (n,) samples where the signal was shifted since the sample before (a change of camera, a new
     # satellite).
     jump: Flags
     lost: list[tuple[float, float]]  # start and end in s of the times without samples
     noise: float  # standard deviation of the measurement noise
-    # Time constant of the smoother in s: a sine of angular frequency w is passed on by the factor 1 / (1 + (w
+    # Time constant of the smoother in s: its gain for a sine of angular frequency w is 1 / (1 + (w
     # resolution)^6).
     resolution: float
 
 
 @dataclass
 class _Signal:
-    """The samples that are believed so far, and the jumps found."""
+    """The samples that are accepted so far, and the jumps found."""
 
     t: Array
     y: Array
@@ -236,7 +236,7 @@ class _Signal:
         return before + spells + after
 
     def intervals(self) -> list[Interval]:
-        """Return what lies between them; what is too short for a rate is left out."""
+        """Return the intervals between them, without those too short for a rate."""
         index, breaks = self._breaks()
         parts = [part for part in np.split(index, breaks + 1) if len(part) > 2 * ORDER]
         if not parts:
@@ -246,7 +246,7 @@ class _Signal:
         return [(int(part[0]), int(part[-1]) + 1) for part in parts]
 
     def lanes(self, cuts: list[Interval]) -> Lanes:
-        step = np.diff(self.t, prepend=self.t[0]) / _usual_step(self.t)
+        step = np.diff(self.t, prepend=self.t[0]) / _median_step(self.t)
         shape = (max(stop - start for start, stop in cuts), len(cuts))
         result = Lanes(np.full(shape, np.nan), np.ones(shape), np.zeros(shape, dtype=bool))
         for lane, (start, stop) in enumerate(cuts):
@@ -263,7 +263,7 @@ class _Signal:
         return most_likely_ratio(self.lanes([cuts[k] for k in spread]))
 
     def smoothed(self, ratio: float) -> tuple[States, Array]:
-        """Smooth all intervals, long ones in pieces that overlap by many times the memory of the smoother."""
+        """Smooth all intervals, long ones in pieces that overlap by many time constants of the smoother."""
         overlap = int(np.clip(12 * ratio ** (-1 / (2 * ORDER)), 30, 1000))
         cores = [
             (core, interval)
@@ -292,7 +292,7 @@ def track(t: Array, y: Array) -> Track:
     for _ in range(SETTINGS.estimates):
         ratio, variance = signal.likely()
         changed, state = _cleaned(
-            signal, ratio, max(float(np.sqrt(variance)), SETTINGS.small * _usual_change(y))
+            signal, ratio, max(float(np.sqrt(variance)), SETTINGS.small * _median_change(y))
         )
         if np.sum(np.isnan(signal.y) & np.isfinite(y) | signal.jump) > SETTINGS.exceptions * len(y):
             signal = _Signal(t, y.copy(), np.zeros(len(y), dtype=bool))
@@ -301,7 +301,7 @@ def track(t: Array, y: Array) -> Track:
             break
         if not changed:
             break
-    step = _usual_step(t)
+    step = _median_step(t)
     spread = np.sqrt(variance * np.maximum(np.diagonal(state.covariance, axis1=-2, axis2=-1), 0.0))
     rate, rate_sd = state.mean[:, 1] / step, spread[:, 1] / step
     unknown = ~(rate_sd <= SETTINGS.uncertain * np.nanmedian(rate_sd))
@@ -320,47 +320,48 @@ def track(t: Array, y: Array) -> Track:
     )
 
 
-def _usual_step(t: Array) -> float:
+def _median_step(t: Array) -> float:
     return float(np.median(np.diff(t)))
 
 
-def _usual_change(y: Array) -> float:
+def _median_change(y: Array) -> float:
     return float(np.median(np.abs(np.diff(y[np.isfinite(y)]))))
 
 
 def _gross_outliers(t: Array, y: Array) -> Flags:
-    """Find single wild samples by comparing each with the cubic through its four neighbours.
+    """Find single gross outliers by comparing each sample with the cubic through its four neighbours.
 
-    They would spoil the likelihood. A shift, which stands out on either side alike, is left to it.
+    They would spoil the likelihood. A shift deviates equally on either side and is not one of them.
     """
     index = np.flatnonzero(np.isfinite(y))
     seen, result = y[index], np.zeros(len(y), dtype=bool)
     if len(seen) < 2 * ORDER:
         return result
-    close = t[index[4:]] - t[index[:-4]] < 6 * _usual_step(t[index])
-    odd = np.zeros(len(seen))
-    odd[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
-    limit = max(5 * SETTINGS.limit * SERIES.gaussian_mad * float(np.median(odd[2:-2])), 2 * _usual_change(y))
-    beside = np.maximum(np.roll(odd, 1), np.roll(odd, -1))
-    result[index[_peaks(odd, limit, SETTINGS.apart) & (odd > 1.25 * beside)]] = True
+    close = t[index[4:]] - t[index[:-4]] < 6 * _median_step(t[index])
+    deviation = np.zeros(len(seen))
+    deviation[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
+    usual = SERIES.gaussian_mad * float(np.median(deviation[2:-2]))
+    limit = max(5 * SETTINGS.limit * usual, 2 * _median_change(y))
+    neighbours = np.maximum(np.roll(deviation, 1), np.roll(deviation, -1))
+    result[index[_peaks(deviation, limit, SETTINGS.separation) & (deviation > 1.25 * neighbours)]] = True
     return result
 
 
-def _peaks(size: Array, limit: float, apart: int) -> Flags:
-    """Tell which entries are above the limit and the largest among `apart` neighbours on either side."""
-    padded = np.pad(size, apart, constant_values=-np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * apart + 1).max(axis=-1)
+def _peaks(size: Array, limit: float, separation: int) -> Flags:
+    """Entries above the limit that are the largest among `separation` neighbours on either side."""
+    padded = np.pad(size, separation, constant_values=-np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * separation + 1).max(axis=-1)
     return (size > limit) & (size >= around) & (limit > 0)
 
 
 def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
     """Remove samples that cannot be motion, the worst of each neighbourhood first, until none stands out."""
-    # A wild sample or a shift bends the smoother on both sides, as far as its memory reaches.
-    apart = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), SETTINGS.apart, 20 * SETTINGS.apart))
+    # An outlier or a shift changes the smoothed signal on both sides, over the time constant of the smoother.
+    separation = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), SETTINGS.separation, 20 * SETTINGS.separation))
     changed = False
     for _ in range(SETTINGS.rounds):
         state, shock = signal.smoothed(ratio)
-        outlier, jump = _suspects(signal, state, shock, noise, apart)
+        outlier, jump = _outliers_and_jumps(signal, state, shock, noise, separation)
         if not (outlier | jump).any():
             break
         changed = True
@@ -369,17 +370,20 @@ def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]
     return changed, state
 
 
-def _suspects(signal: _Signal, state: States, shock: Array, noise: float, apart: int) -> tuple[Flags, Flags]:
-    """Find samples that the others contradict, and jumps: whichever of the two explains more at its place."""
+def _outliers_and_jumps(
+    signal: _Signal, state: States, shock: Array, noise: float, separation: int
+) -> tuple[Flags, Flags]:
+    """Outliers and jumps: at each peak, the one of the two that explains more."""
     residual = np.nan_to_num(signal.y - state.mean[:, 0])
     # the residual of a sample has variance 1 - P; over its square root it is the deletion residual,
     # standardised
     own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
-    alone = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
+    deletion_residual = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
-    limit = SETTINGS.limit * max(noise, SERIES.gaussian_mad * float(np.median(alone[np.isfinite(signal.y)])))
-    peak = _peaks(np.maximum(alone, shift), limit, apart)
-    return peak & (alone >= shift) & np.isfinite(signal.y), peak & (shift > alone)
+    typical = SERIES.gaussian_mad * float(np.median(deletion_residual[np.isfinite(signal.y)]))
+    limit = SETTINGS.limit * max(noise, typical)
+    peak = _peaks(np.maximum(deletion_residual, shift), limit, separation)
+    return peak & (deletion_residual >= shift) & np.isfinite(signal.y), peak & (shift > deletion_residual)
 
 
 def _cut(intervals: list[Interval], length: int) -> list[Interval]:
@@ -407,11 +411,11 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     Velocities that were there are kept. The names of those that are added are in `derived` of the run, the
     medians of their standard deviations in `sigma`; outliers in the pose become NaN.
     """
-    asked = list(degrees_of_freedom)
-    lacking = [VELOCITY[DOFS.index(name)] for name in asked if not run.has(VELOCITY[DOFS.index(name)])]
+    wanted = list(degrees_of_freedom)
+    lacking = [VELOCITY[DOFS.index(name)] for name in wanted if not run.has(VELOCITY[DOFS.index(name)])]
     if not lacking:
         return run
-    tracks = {name: _tracked(run, name) for name in _pose_needed(run, asked, lacking)}
+    tracks = {name: _tracked(run, name) for name in _needed_pose(run, wanted, lacking)}
     rates, spread = _body_rates(run, tracks)
     pose = {name: np.where(one.outlier, np.nan, run.reports(name)) for name, one in tracks.items()}
     run = with_reports(run, pose)
@@ -427,9 +431,9 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
 
 
-def _pose_needed(run: Run, asked: list[str], lacking: list[str]) -> list[str]:
+def _needed_pose(run: Run, wanted: list[str], lacking: list[str]) -> list[str]:
     """Pose that the velocities which a run lacks are taken from, and what else of the pose it has."""
-    of_asked = {POSE[DOFS.index(name)] for name in asked}
+    of_asked = {POSE[DOFS.index(name)] for name in wanted}
     needed = {POSE[VELOCITY.index(name)] for name in lacking} | of_asked & set(POSE[3:])
     # A vehicle that only surges along x, say a towed hull, may do without a heading; with one, x and y are
     # turned by it.
@@ -464,13 +468,13 @@ def _tracked(run: Run, name: str) -> Track:
 
 
 def _moves(channel: Array) -> bool:
-    """Whether a channel changes; one that does not is smoothed without end, and hides no motion."""
+    """Whether a channel changes; the smoother of a constant one has no finite time constant."""
     size = float(np.nanmax(np.abs(channel)))
     return bool(np.nanmax(channel) - np.nanmin(channel) > SETTINGS.still * max(size, 1.0))
 
 
 def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:
-    """Return u … r and their standard deviations, (6, n) each; what was not tracked counts as zero."""
+    """Return u … r and their standard deviations, (6, n) each; pose without a track counts as zero."""
     zero = np.zeros(len(run.t))
     value, value_var, rate, rate_var = (
         np.array([function(tracks[name]) if name in tracks else zero for name in POSE])
@@ -483,7 +487,7 @@ def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:
     )
     rotation, euler = _to_body(*value[3:])
     linear, angular = np.einsum("ijn,jn->in", rotation, rate[:3]), np.einsum("ijn,jn->in", euler, rate[3:])
-    # An attitude error turns the velocity: velocity x error.
+    # An attitude error rotates the velocity: velocity x error.
     turned = [(linear[(i + 1) % 3] ** 2 * value_var[3 + (i + 2) % 3]) for i in range(3)]
     turned = [one + linear[(i + 2) % 3] ** 2 * value_var[3 + (i + 1) % 3] for i, one in enumerate(turned)]
     linear_var = np.einsum("ijn,jn->in", rotation**2, rate_var[:3]) + turned

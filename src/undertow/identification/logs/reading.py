@@ -51,9 +51,9 @@ from .opening import (
     must_have,
     opened_field_log,
     opened_table,
+    refuse_duplicates,
     refuse_too_many,
-    refuse_twins,
-    stretches_of,
+    segments_in,
     times_of,
     with_distinct_names,
 )
@@ -99,11 +99,11 @@ def read_log(
     larger than the limits is refused before it is held in memory. Of a log of several segments the longest
     is used, and its notes say so. Several paths are tables of one run, each on its own clock.
     """
-    asked = _Asked(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
+    request = _Request(mapping, tuple(channels), window, missing_commands, tuple(also), limits)
     if not isinstance(path, str | Path):
         log = one_run([Path(file) for file in path])
-        path, asked = log.path, replace(asked, field_logs={log.path: log})
-    runs = _runs_of(Path(path), asked)
+        path, request = log.path, replace(request, field_logs={log.path: log})
+    runs = _runs_of(Path(path), request)
     longest = max(runs, key=lambda run: float(run.t[-1] - run.t[0]))
     others = len(runs) - 1
     note = f"{others} shorter segments of the log left out: read_logs reads all of them"
@@ -111,7 +111,7 @@ def read_log(
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Request:
     """How a log is to be read; see `read_log` and `read_logs`."""
 
     mapping: LogMapping | None
@@ -124,20 +124,18 @@ class _Asked:
     field_logs: FieldLogs | None = None
 
 
-def _runs_of(path: Path, asked: _Asked) -> list[Run]:
+def _runs_of(path: Path, request: _Request) -> list[Run]:
     """The segments of a log, each as a run."""
-    log = field_log(path, asked.mapping, asked.field_logs)
+    log = field_log(path, request.mapping, request.field_logs)
     if log is None:
-        found = opened_table(path, asked.mapping, asked.limits)
+        found = opened_table(path, request.mapping, request.limits)
     else:
-        found = opened_field_log(log, asked.mapping, asked.channels, asked.also, asked.window)
-    meaning = found.mapping
-    taken = dropping_disorder(meaning) if asked.in_any_order else meaning
-    how = (path, taken, asked.channels, asked.window, asked.missing_commands, asked.also)
-    runs = [
-        run_of_table(part, *how) for part in stretches_of(found.table, meaning.time.stretch, f"log {path}")
-    ]
-    runs = [replace(r, mapping=meaning, sha256=found.sha256, reader_notes=found.notes) for r in runs]
+        found = opened_field_log(log, request.mapping, request.channels, request.also, request.window)
+    mapping = dropping_disorder(found.mapping) if request.in_any_order else found.mapping
+    options = (path, mapping, request.channels, request.window, request.missing_commands, request.also)
+    parts = segments_in(found.table, mapping.time.stretch, f"log {path}")
+    runs = [run_of_table(part, *options) for part in parts]
+    runs = [replace(r, mapping=found.mapping, sha256=found.sha256, reader_notes=found.notes) for r in runs]
     if len(runs) == 1:
         return runs
     return [replace(r, name=f"{r.name}-{k}", part_of=r.name) for k, r in enumerate(runs, 1)]
@@ -191,12 +189,12 @@ def read_logs(
         if to_fit and window == (None, None) and time.disorder != "drop":
             most = MEASURABLE
             limits = replace(WHOLE, rows=most.rows_per_sample * time.every * most.samples)
-        asked = _Asked(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
-        read = [_with_note_on_newtons(run, vehicle) for run in _runs_of(path, asked)]
+        request = _Request(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
+        read = [_with_note_on_newtons(run, vehicle) for run in _runs_of(path, request)]
         if to_fit:
             refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
         runs += read if part else [_with_velocities(run, vehicle) for run in read]
-    refuse_twins(runs)
+    refuse_duplicates(runs)
     return with_distinct_names(runs)
 
 
@@ -205,16 +203,16 @@ def mapping_for(
 ) -> LogMapping | None:
     """The mapping that is given, or that of the file beside a log, with the motions that a rig holds.
 
-    Speeds of propellers become what the vehicle counts them in.
+    Speeds of propellers are converted to the unit of the vehicle.
     """
     meaning = mapping or mapping_beside(path)
     if meaning is not None:
-        meaning = _counted_as_the_vehicle(meaning, vehicle, f"log {path}")
+        meaning = _with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
     return (meaning or LogMapping()).model_copy(update={"held": held}) if held else meaning
 
 
-def _counted_as_the_vehicle(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
-    """The mapping with speeds of propellers in `revolutions` of the vehicle file, not in rad/s as others."""
+def _with_speeds_in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
+    """The mapping with speeds of propellers in the unit of the vehicle file (`revolutions`), not in rad/s."""
     counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
 
     def factor(name: str, command: str, unit: str) -> float:
@@ -232,18 +230,18 @@ def _counted_as_the_vehicle(mapping: LogMapping, vehicle: Vehicle, where: str) -
 
 
 def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
-    """The run with velocities; where they cannot be had, what the reader of the log said goes with it."""
+    """The run with velocities; where there are none, the error has the notes of the reader of the log."""
     try:
         return velocities_from_pose(run, vehicle.degrees_of_freedom)
     except UndertowError as error:
-        said = "; ".join(run.reader_notes)
-        raise UndertowError(f"{error} ({said})" if said else str(error)) from error
+        notes = "; ".join(run.reader_notes)
+        raise UndertowError(f"{error} ({notes})" if notes else str(error)) from error
 
 
 def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
     """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons.
 
-    Those of a table are said to be so where they end at 1 and its mapping file states no unit of theirs.
+    Commands of a table only if they reach exactly 1 and its mapping file states no unit.
     """
     plain = [t.name for t in vehicle.thrusters if t.unit == "N" and run.has(t.name)]
     largest = max((float(np.nanmax(np.abs(run.channels[name]), initial=0.0)) for name in plain), default=0.0)
@@ -297,14 +295,14 @@ def run_of_table(
             c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
         }
         read |= {n: computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()}
-        own = _on_rows(t, read, sources, mapping, where, before or {})
-        channels = _turned(own.channels, mapping, where)
+        common = _on_rows(t, read, sources, mapping, where, before or {})
+        channels = _in_ned_frd(common.channels, mapping, where)
     run = Run(
         name=path.name.split(".")[0],
-        t=own.t,
+        t=common.t,
         channels=channels,
-        reported=_reported(own.reported, mapping, channels),
-        wrapped=_turned_angles(own.wrapped, mapping),
+        reported=_reported(common.reported, mapping, channels),
+        wrapped=_angles_in_ned_frd(common.wrapped, mapping),
         source=str(path),
         notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
@@ -315,8 +313,8 @@ def run_of_table(
     run = _unwrapped(run, mapping)
     run = with_report_noise(run, slow, part=before is not None)
     run = replace(run, held=_held(run, mapping.held))
-    if own.several or policy == "hold":
-        run = _where_commanded(run, [*commands, *FORCES], policy, before)
+    if common.several or policy == "hold":
+        run = _between_commands(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)
 
 
@@ -329,7 +327,7 @@ def _held(run: Run, stated: Held) -> tuple[str, ...]:
 
 
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
-    """Say which columns are read, as what."""
+    """The columns that are read, by name, with their channels."""
     for name in mapping.time.columns:
         must_have(name, names, where, "time column")
     required = mapping.required(commands)
@@ -392,38 +390,33 @@ def _values(
 
 
 def _on_rows(
-    t: Array,
-    read: Channels,
-    sources: dict[str, Column],
-    mapping: LogMapping,
-    where: str,
-    before: Commands,
+    t: Array, read: Channels, sources: dict[str, Column], mapping: LogMapping, where: str, before: Commands
 ) -> OneClock:
     """The rows of a table; where it holds several series, the rows that these share."""
     late = {c.channel: seconds_of(c.delay, f"{where}: delay of column {n!r}") for n, c in sources.items()}
     late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
     slow = any(column.fresh is not None for column in sources.values())
-    moving = _interpolated(sources, mapping, where)
+    interpolated = _interpolated(sources, mapping, where)
     table = np.abs(list(read.values()))
     unreadable = np.isnan(table).all() or (table > MEASURABLE.largest).any()  # refused by name, later
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
-        means = {n: interpolated_mean(t, Series.of(t, read[n], None)) for n in moving}
+        means = {n: interpolated_mean(t, Series.of(t, read[n], None)) for n in interpolated}
         return OneClock(t, read | means, {}, several=False)
-    # Where a delay moves reports into a gap of the log, nothing is known of what else happened.
-    moved = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
-    read |= {n: np.where(lost, np.nan, read[n]) for n, lost in moved.items()}
+    # Reports that a delay moves into a gap of the log are left out: no other channel is known there.
+    in_gap = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
+    read |= {n: np.where(lost, np.nan, read[n]) for n, lost in in_gap.items()}
     noise = _stated_noise(sources, mapping, where)
     series, angles = {}, {n: unwrapped(column) for n, column in read.items() if mapping.jumps(n)}
     for name, column in {**read, **angles}.items():
         stated = noise.get(turned_name(name, mapping.frames.position))
         series[name] = Series.of(t - late[name], column, stated)
-    own = on_one_clock(series, before, t if slow else None, moving)
+    common = on_one_clock(series, before, t if slow else None, interpolated)
     jumping = {n: read[n] for n, whole in angles.items() if not np.array_equal(whole, read[n], True)}
-    return replace(own, wrapped={n: own.in_rows(n, column) for n, column in jumping.items()})
+    return replace(common, wrapped={n: common.in_rows(n, column) for n, column in jumping.items()})
 
 
 def _interpolated(sources: dict[str, Column], mapping: LogMapping, where: str) -> set[str]:
-    """Channels that move on between samples, as the mapping file states."""
+    """Channels that are interpolated between samples, as the mapping file states."""
     stated = {c.channel for c in sources.values() if c.interpolate}
     stated |= {n for n, c in mapping.channels.items() if c.interpolate}
     for name in sorted(stated & MEASURED):
@@ -448,10 +441,11 @@ def _reported(found: Mapping[str, Flags], mapping: LogMapping, channels: Channel
     return reported
 
 
-def _where_commanded(run: Run, names: Iterable[str], policy: str, before: Commands | None) -> Run:
-    """The run from its first command to its last, which may be held: series do not begin and end at once."""
-    asked = [n for n in names if run.has(n) and n not in _sensed() and n not in (before or {})]
-    known = np.flatnonzero(np.isfinite(run.matrix(asked)).all(axis=1))
+def _between_commands(run: Run, names: Iterable[str], policy: str, before: Commands | None) -> Run:
+    """The run from its first command to its last, which may be held: series begin and end at other times."""
+    sensed = _sensor_quantities()
+    needed = [n for n in names if run.has(n) and n not in sensed and n not in (before or {})]
+    known = np.flatnonzero(np.isfinite(run.matrix(needed)).all(axis=1))
     if not len(known):
         return run
     last = -1 if policy == "hold" or before is not None else known[-1]
@@ -492,7 +486,7 @@ def stated_disturbance(mapping: LogMapping, where: str = "mapping file") -> dict
     return {n: magnitude(v, units[n], f"{where}: disturbance {n}") for n, v in mapping.disturbance.items()}
 
 
-def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
+def _in_ned_frd(channels: Channels, mapping: LogMapping, where: str) -> Channels:
     """Bring channels from the frames of the log to NED and forward-starboard-down."""
     spec, given = mapping.frames, channels
     if spec.position == "ENU":
@@ -512,8 +506,8 @@ def _turned(channels: Channels, mapping: LogMapping, where: str) -> Channels:
     return channels if mapping.water is None else over_ground(channels, mapping.water.velocity)
 
 
-def _turned_angles(wrapped: Channels, mapping: LogMapping) -> Channels:
-    """The same of angles as logged."""
+def _angles_in_ned_frd(wrapped: Channels, mapping: LogMapping) -> Channels:
+    """The same for angles as logged."""
     turned = swap_attitude(wrapped) if _attitude(mapping) == "ENU" else wrapped
     if mapping.compass is None:
         return turned
@@ -579,8 +573,8 @@ def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMappin
     return [f"columns not used: {', '.join(left)}"] if left else []
 
 
-def _sensed() -> set[str]:
-    """Names among those of commands that a sensor reports."""
+def _sensor_quantities() -> set[str]:
+    """Names of inputs that a sensor reports."""
     return {*logged_quantities(catalogue()), *MOTION_UNITS}
 
 
@@ -595,11 +589,11 @@ def _checked(
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
-    sensed = _sensed()
+    sensed = _sensor_quantities()
     for name in commands:
         if run.has(name):
             data, rule, earlier = filled[name], policy, known.get(name, np.nan)
-            if name in sensed:  # a sensor reports now and then: its first report holds from the start
+            if name in sensed:  # the first report of a slow sensor holds from the start
                 first = data[np.isfinite(data)][:1]
                 rule, earlier = "hold", known.get(name, float(first.sum()) if first.size else np.nan)
             filled[name], note = fill_commands(name, run.t, data, rule, where, earlier)
@@ -611,29 +605,29 @@ def _checked(
     return replace(run, channels=filled).with_notes(*notes)
 
 
-# --- every so many-th row, without losing what reports more rarely than that ----------------------
+# --- decimation that keeps the reports of slow sensors --------------------------------------------
 def decimated(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
-    """Every so many-th row of tables that follow each other.
+    """Every n-th row of consecutive tables, n = `every`.
 
-    In a table of sensors with clocks of their own, what reports more rarely would be lost with the rows in
-    between, and a command would be held beyond its next one. So a row in between is kept if it has a report
-    of a column of which none was kept for so many rows.
+    In a table of sensors with clocks of their own, rare reports would be lost with the other rows, and a
+    command would be held beyond its next one. So another row is kept if it has a report of a column of which
+    none was kept for n rows.
     """
     before, last = 0, dict[str, int]()
     for table in tables:
         place = before + np.arange(table.height)
         kept = place % every == 0
         for name in table.columns:
-            reports = place[_there(table[name])]
-            late = _late(reports, every, last.get(name, -every))
+            reports = place[_has_value(table[name])]
+            late = _overdue(reports, every, last.get(name, -every))
             kept[late - before] = True
             last[name] = max((last.get(name, -every), *late[-1:], *reports[reports % every == 0][-1:]))
         yield table.filter(kept)
         before += table.height
 
 
-def _late(reports: Index, every: int, last: int) -> Index:
-    """Those of the reports that come so many rows, or more, after the last that is kept."""
+def _overdue(reports: Index, every: int, last: int) -> Index:
+    """Reports that come at least `every` rows after the last that is kept."""
     regular = np.where(reports % every == 0, reports, last)
     since = np.maximum.accumulate(regular) if len(regular) else regular
     between = reports - since >= every
@@ -644,7 +638,7 @@ def _late(reports: Index, every: int, last: int) -> Index:
     return np.array(found, dtype=np.intp)
 
 
-def _there(column: pl.Series) -> Flags:
+def _has_value(column: pl.Series) -> Flags:
     there = column.is_not_null()
     if column.dtype.is_float():
         there &= column.is_not_nan().fill_null(value=False)

@@ -45,8 +45,8 @@ class GapSettings:
     """Limits on gaps."""
 
     steps: float = 5.0  # times the usual step: a longer step ends a segment
-    # s that a simulation goes on across: the shortest time constants of vehicles that carry a computer are
-    # three times as long and more, and what they do meanwhile follows from their motion before.
+    # Longest gap, s, over which a simulation continues: the shortest time constants of vehicles that carry a
+    # computer are three times as long and more.
     harmless: float = 0.1
 
 
@@ -134,7 +134,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         head = ("channel", "unit", "samples", "least", "mean", "greatest")
-        return html(repr(self), head, (_shown(name, data) for name, data in self.channels.items()))
+        return html(repr(self), head, (_channel_row(name, data) for name, data in self.channels.items()))
 
     @property
     def origin(self) -> str:
@@ -256,8 +256,8 @@ class Run:
         whole = np.asarray(np.isfinite(self.matrix(names)).all(axis=1))
         step = np.diff(self.t)
         usual = max(float(np.median(step)), self.step) if len(step) else 0.0
-        together = step <= max(GAPS.steps * usual, across)
-        joined = np.concatenate([[False], together & whole[1:] & whole[:-1], [False]])
+        no_gap = step <= max(GAPS.steps * usual, across)
+        joined = np.concatenate([[False], no_gap & whole[1:] & whole[:-1], [False]])
         starts, stops = np.flatnonzero(whole & ~joined[:-1]), np.flatnonzero(whole & ~joined[1:]) + 1
         return [builtins.slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
@@ -266,7 +266,7 @@ class Run:
         return replace(self, notes=(*self.notes, *notes))
 
 
-def _shown(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
+def _channel_row(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
     """Row of a channel for a notebook."""
     there = data[np.isfinite(data)]
     span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
@@ -289,25 +289,23 @@ def _frozen(data: object) -> NDArray[np.float64]:
 # --- several series, each with times of its own, on the rows of one clock -------------------------
 @dataclass(frozen=True)
 class SeriesSettings:
-    """Numbers by which a table is known to hold several series, and by which these get common rows."""
+    """When a table holds several series, and how these get common rows."""
 
-    # Share of its rows that a channel must lack, in spells as short as it usually has, to be a series of its
-    # own: samples that get lost are fewer. How many of its samples it takes to tell, and to know the noise.
+    # Share of its rows that a channel must lack, in intervals as short as is usual for it, to be a series of
+    # its own: lost samples are fewer. Fewest samples to decide this, and to estimate the noise.
     blank: float = 0.1
-    telling: int = 24
+    fewest_to_decide: int = 24
     fewest: int = 10
-    # Usual times between reports without one: what happened meanwhile is unknown.
-    lost: float = 3.0
-    # Share of the noise of a report that the motion makes in the time by which the report is moved to a row
-    # that is there already, at most: the variance of its error grows by 3 % at most.
-    moved: float = 0.3
-    # Share of the clock's step that stamps of one time may differ by: they were rounded.
-    together: float = 1e-3
-    # Share of the reports of the rarest column of a formula that may lack another one beside them: one clock
-    # loses fewer, and reports of two clocks meet by chance in fewer.
-    apart: float = 0.5
-    order: int = 3  # a difference of this order leaves little of a smooth motion
-    places: int = 100_000  # reports at which it is taken: they know the noise to half a per cent
+    lost: float = 3.0  # usual intervals between reports without one, after which the value is unknown
+    # A report is moved to an existing row if the motion in between is at most this share of its noise: the
+    # variance of its error then grows by 3 % at most.
+    noise_share: float = 0.3
+    same_time: float = 1e-3  # share of the clock's step by which stamps of one time may differ: rounding
+    # Share of the reports of the rarest column of a formula that may lack another one in their row: one clock
+    # loses fewer, and reports of two clocks coincide by chance in fewer.
+    shared: float = 0.5
+    order: int = 3  # of the difference, which leaves little of a smooth motion
+    places: int = 100_000  # reports at which it is taken: enough for the noise to half a per cent
     gaussian_mad: float = 1.4826  # standard deviation over median magnitude, of a Gaussian
     # Standard deviations from which a difference is not noise, and the variance of a Gaussian cut off there.
     outlying: float = 3.5
@@ -321,7 +319,7 @@ SERIES = SeriesSettings()
 class Series:
     """Reports of a channel, in order of time."""
 
-    t: Array  # (k,) when what they report was true, s
+    t: Array  # (k,) times at which they were valid, s
     y: Array  # (k,) in the unit of the channel
     noise: float | None = None  # standard deviation, where it is stated
 
@@ -331,16 +329,16 @@ class Series:
         there = ~np.isnan(column)
         return cls(t[there], column[there], noise)
 
-    def usual(self) -> float:
-        """Usual time between reports, s; none of a single one."""
+    def period(self) -> float:
+        """Usual time between reports, s; infinite for a single one."""
         return float(np.median(np.diff(self.t))) if len(self.t) > 1 else np.inf
 
-    def movable(self) -> float:
-        """Time, s, in which the motion changes the channel by less than can be seen in a report."""
+    def time_tolerance(self) -> float:
+        """Time, s, in which the motion changes the channel by less than is visible in a report."""
         noise = report_noise(self.t, self.y) if self.noise is None else self.noise
         change = np.diff(self.y)
-        own = np.sqrt(max(float(np.mean(change**2)) - 2 * noise**2, 0.0)) if len(change) else 0.0
-        return SERIES.moved * noise * self.usual() / own if own > 0 else self.usual()
+        motion = np.sqrt(max(float(np.mean(change**2)) - 2 * noise**2, 0.0)) if len(change) else 0.0
+        return SERIES.noise_share * noise * self.period() / motion if motion > 0 else self.period()
 
 
 @dataclass(frozen=True)
@@ -361,13 +359,13 @@ class OneClock:
 
 
 def are_several(t: Array, table: Mapping[str, Array]) -> bool:
-    """Tell whether columns (n,) with blanks hold several series: one of them is blank in a regular way."""
-    return any(_regularly_blank(t, column) for column in table.values())
+    """Tell whether columns (n,) with blanks hold several series: one is blank at regular intervals."""
+    return any(_blank_regularly(t, column) for column in table.values())
 
 
-def _regularly_blank(t: Array, column: Array) -> bool:
+def _blank_regularly(t: Array, column: Array) -> bool:
     at = np.flatnonzero(~np.isnan(column))
-    if len(at) < SERIES.telling or len(at) == len(t):
+    if len(at) < SERIES.fewest_to_decide or len(at) == len(t):
         return False
     apart = np.diff(t[at])
     rows = np.diff(at)[apart <= SERIES.lost * np.median(apart)]
@@ -382,12 +380,12 @@ def on_one_clock(
 ) -> OneClock:
     """Bring series to common rows: those of the measured channel that reports most often, and few others.
 
-    A report moves to a row that is there if the motion between the two times cannot be seen in it; else it
-    gets a row. A row without a report of a measured channel has what the curve through the reports says, or
-    nothing where these are further apart than usual. All others are held: a row has the mean of what was held
-    until the next, so that no row is needed for a command and its impulse is kept; `before` says what was
-    held before the first. The channels in `interpolated` move from one report to the next instead. Where a
-    `clock` (n,) is given, its rows are the first.
+    A report moves to an existing row if the motion between the two times is not visible in it; else it gets a
+    row. In a row without a report a measured channel is interpolated, or NaN where reports are further apart
+    than usual. All others are held: a row has the mean of the held values until the next, so that a command
+    needs no row and keeps its impulse; `before` has those held before the first. The channels in
+    `interpolated` move from one report to the next instead. Where a `clock` (n,) is given, its rows are used
+    first.
     """
     some = {n: s for n, s in series.items() if len(s.t)}
     measured = {n: s for n, s in some.items() if n in MEASURED}
@@ -416,15 +414,15 @@ def _rows(series: list[Series], clock: Array | None) -> tuple[Array, list[Index]
     fastest = groups[0][1][0]
     t, taken = fastest.t if clock is None else clock, {}
     for key, group in groups:
-        reach = max(SERIES.together * fastest.usual(), min(one.movable() for one in group))
-        taken[key] = _taken(t, group[0].t, reach)
+        reach = max(SERIES.same_time * fastest.period(), min(one.time_tolerance() for one in group))
+        taken[key] = _assigned_rows(t, group[0].t, reach)
         t = np.union1d(t, taken[key])
     place = {key: np.searchsorted(t, times) for key, times in taken.items()}
     return t, [place[one.t.tobytes()] for one in series]
 
 
-def _taken(rows: Array, t: Array, reach: float) -> Array:
-    """Times of the rows that reports go to: of those that are there if near enough, or their own."""
+def _assigned_rows(rows: Array, t: Array, reach: float) -> Array:
+    """Times of the rows of reports: those of the nearest rows if these are near enough, or their own."""
     after = np.clip(np.searchsorted(rows, t), min(1, len(rows) - 1), len(rows) - 1)
     before = np.maximum(after - 1, 0)
     near = rows[np.where(t - rows[before] <= rows[after] - t, before, after)]
@@ -439,7 +437,7 @@ def between(t: Array, known: Array, reports: Array) -> Array:
     """Interpolation of reports at times t (n,); NaN outside of them and where reports are lost.
 
     The curve is monotone from one report to the next (Fritsch and Butland, 1984): it never goes beyond them,
-    also where a burst of reports came at once, and misses far less of a smooth motion than a straight line.
+    not even in a burst of reports, and is far closer to a smooth motion than a straight line.
     """
     from scipy.interpolate import PchipInterpolator  # slow to import, and few logs come this far
 
@@ -449,19 +447,19 @@ def between(t: Array, known: Array, reports: Array) -> Array:
 
 
 def in_gaps(clock: Array, t: Array) -> Flags:
-    """Which of the times t (n,) lie where a clock (k,), of at least two times, has lost some."""
+    """Which of the times t (n,) lie in gaps of a clock (k,) of at least two times."""
     after = np.clip(np.searchsorted(clock, t), 1, len(clock) - 1)
     apart = clock[after] - clock[after - 1]
     return (apart > _longest(np.median(np.diff(clock)))) & (t > clock[after - 1]) & (t < clock[after])
 
 
-def _longest(usual: float) -> float:
-    """Longest time between reports, s, between which something is known, where so much is usual."""
-    return max(SERIES.lost * usual, GAPS.harmless)
+def _longest(period: float) -> float:
+    """Longest interval between reports, s, over which a value is known, by the usual one."""
+    return max(SERIES.lost * period, GAPS.harmless)
 
 
 def _held(t: Array, one: Series, before: float) -> Array:
-    """Mean from each row to the next of what was held; NaN where that is not known, or older than usual."""
+    """Mean of the held values from each row to the next; NaN where unknown, or older than usual."""
     first = min(t[0], one.t[0]) if len(one.t) else t[0]
     times, values = np.concatenate([[first], one.t]), np.concatenate([[before], one.y])
     at = np.searchsorted(times, t, side="right") - 1
@@ -471,7 +469,7 @@ def _held(t: Array, one: Series, before: float) -> Array:
     total = np.append(0.0, np.cumsum(np.nan_to_num(values[:-1]) * np.diff(times)))
     until = [total[i] + np.nan_to_num(values[i]) * (x - times[i]) for i, x in ((at, t), (last, t[1:]))]
     held[new] = (until[1][new] - until[0][new]) / np.diff(t)[new]
-    old = (at > 0) & (t - times[at] > _longest(one.usual()))
+    old = (at > 0) & (t - times[at] > _longest(one.period()))
     return np.where(old, np.nan, held)
 
 
@@ -503,34 +501,34 @@ def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
     index = first[:, None] + np.arange(count)
     apart = t[index][:, :, None] - t[index][:, None, :]
     weight = 1.0 / np.prod(apart + np.eye(count), axis=2)
-    change = y[index] - y[index[:, :1]]  # exactly nothing at rest: the weights add up to nothing but rounding
-    wild = np.sum(weight * change, axis=1) / np.linalg.norm(weight, axis=1)
-    return float(np.sqrt(noise_variance(wild)))
+    change = y[index] - y[index[:, :1]]  # exactly zero at rest: the weights add up to zero but for rounding
+    differences = np.sum(weight * change, axis=1) / np.linalg.norm(weight, axis=1)
+    return float(np.sqrt(noise_variance(differences)))
 
 
-def noise_variance(wild: Array) -> float:
-    """Variance of noise (k,) that may have a few kinks and jumps of a motion in it.
+def noise_variance(differences: Array) -> float:
+    """Variance of noise in differences (k,), some of which may contain kinks and jumps of a motion.
 
-    Of what is no kink or jump the mean square is known twice as well as the median. Where most of it is zero,
-    as of a sensor with few digits at rest, the rest alone tells.
+    The mean square of the others is more accurate than an estimate by the median. Where most of them are
+    zero, as of a sensor with few digits at rest, only the rest count.
     """
-    if not robust_scale(wild):
-        wild = wild[wild != 0.0]
-    rough = robust_scale(wild)
-    within = wild[np.abs(wild) <= SERIES.outlying * rough]
+    if not robust_scale(differences):
+        differences = differences[differences != 0.0]
+    rough = robust_scale(differences)
+    within = differences[np.abs(differences) <= SERIES.outlying * rough]
     return float(np.mean(within**2)) / SERIES.variance_within if len(within) else 0.0
 
 
 def robust_scale(errors: Array) -> float:
-    """Standard deviation by the median magnitude, of which up to half may be anything; 1 of none."""
+    """Standard deviation by the median magnitude, with up to half outliers; 1 without errors."""
     return SERIES.gaussian_mad * float(np.median(np.abs(errors))) if len(errors) else 1.0
 
 
 def with_report_noise(run: Run, must: Collection[str] = (), *, part: bool = False) -> Run:
     """Estimate the noise of channels that do not report in every row, where it is not stated.
 
-    Differences from row to row would not show it: in between lie smooth curves. A channel with hardly a
-    report is left out, or refused if it is among those that `must` be there; a `part` of a log may have one.
+    Differences between rows would not show it: interpolated rows are smooth. A channel with too few reports
+    is left out, or refused if it is among those that `must` be there; a `part` of a log may have one.
     """
     sigma, notes, few = dict(run.sigma), [], []
     for name, there in run.reported.items():
@@ -565,7 +563,7 @@ def with_reports(run: Run, values: Mapping[str, Array]) -> Run:
 
 
 def shared_rows(columns: Mapping[str, Array]) -> float:
-    """Share of the reports of the rarest column that the others have in the same row; 1 without reports."""
+    """Share of the reports of the rarest column with one of all others in the same row; 1 without reports."""
     there = [np.isfinite(column) for column in columns.values()]
     fewest = min(map(np.count_nonzero, there), default=0)
     return float(np.count_nonzero(np.all(there, axis=0)) / fewest) if fewest else 1.0
@@ -591,23 +589,23 @@ def later_than_before(t: Array) -> NDArray[np.bool_]:
     return np.asarray((t > latest[:-1]) | np.isnan(t))
 
 
-# --- what can be in a log -------------------------------------------------------------------------
+# --- bounds on a log ------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Measurable:
-    """What can be in a log."""
+    """Bounds on values, sizes and rates of a log."""
 
-    # Largest magnitude of a value or time, SI. Values that stand for a missing one (1e20, 9.97e36, 1e308) are
-    # larger, distances on Earth in nm are not; its powers up to the tenth are numbers.
+    # Largest magnitude of a value or time, SI. Values that mark a missing one (1e20, 9.97e36, 1e308) are
+    # larger, distances on Earth in nm are not; its powers up to the tenth are finite.
     largest: float = 1e15
     # Samples that a fit takes: four hours at 20 Hz. In surge alone, 10^6 take five minutes and 1.4 GB.
     samples: int = 300_000
     # Lines of a file per sample, at most: some are blank or comments. Only used to stop reading early.
     rows_per_sample: int = 2
-    # Samples a second beyond which a vehicle moves more slowly than it is logged, and as many as will do.
+    # Samples a second beyond which a log is faster than the motion of any vehicle, and as many as suffice.
     fast: float = 50.0
     enough: float = 20.0
-    # quick, slow: steps, s, between which vehicles are usually logged: at 0.2 to 250 Hz. Of two units of a
-    # clock the one in which its steps are nearer to these is the likelier.
+    # quick, slow: range of the usual steps of logs, s: 0.2 to 250 Hz. Of two units of a clock the one in
+    # which its steps are nearer to this range is more likely.
     quick: float = 0.004
     slow: float = 5.0
 

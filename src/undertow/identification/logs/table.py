@@ -32,7 +32,7 @@ from undertow.model.units import is_unit, same_unit
 
 from .mapping import Column, LogMapping
 
-# --- another process for what may break down ------------------------------------------------------
+# --- a helper process for decoders that may crash -------------------------------------------------
 _LIMITED = """
 import sys
 try:
@@ -45,24 +45,24 @@ except (ImportError, ValueError, OSError):
 
 @dataclass
 class Helper:
-    """A process that answers one question after the other; a new one where it has ended with a question.
+    """A process that answers one question after another, and is started again after a crash.
 
-    `program` is Python that answers every line of JSON with a line of JSON; `memory` are the bytes of address
-    space that it may have.
+    `program` is Python that answers every line of JSON with a line of JSON; `memory` is the limit of its
+    address space, bytes.
     """
 
     program: str
     memory: int = 6_000_000_000  # what a table of the most cells needs, three times over
     _process: subprocess.Popen[str] | None = None
     _owner: int = 0
-    _turn: threading.Lock = field(default_factory=threading.Lock)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         atexit.register(self.close)
 
-    def answer(self, question: Any, without: Any, broken: Any) -> Any:
-        """The answer; `without` where no helper can be started, and `broken` where the question ended it."""
-        with self._turn:
+    def answer(self, question: Any, unavailable: Any, crashed: Any) -> Any:
+        """The answer; `unavailable` where no helper can be started, `crashed` where the question ended it."""
+        with self._lock:
             try:
                 process = self._started()
                 assert process.stdin is not None
@@ -71,14 +71,14 @@ class Helper:
                 process.stdin.flush()
                 answer = process.stdout.readline()
             except OSError:
-                return without
+                return unavailable
             if not answer:
                 process.communicate()
-                return broken
+                return crashed
             return json.loads(answer)
 
     def _started(self) -> subprocess.Popen[str]:
-        # A process that was forked off has the helper of its parent, whose answers are not its own.
+        # A forked process must not use the helper of its parent.
         if self._process is None or self._process.poll() is not None or self._owner != os.getpid():
             self._owner = os.getpid()
             self._process = subprocess.Popen(
@@ -88,7 +88,7 @@ class Helper:
                 stderr=subprocess.DEVNULL,
                 text=True,
                 encoding="utf-8",
-                # Threads reserve address space, on a large machine more than there is to be.
+                # Threads reserve address space, on a large machine more than the limit.
                 env={**os.environ, "POLARS_MAX_THREADS": "2", "PYTHONIOENCODING": "utf-8"},
             )
         return self._process
@@ -101,7 +101,7 @@ class Helper:
 
 
 # --- tables ---------------------------------------------------------------------------------------
-# Of one column after the other nothing is kept but a number; columns of lists are never read.
+# Only a hash of every column is kept; columns of lists are never read.
 _DECODE = """
 import json, sys
 import polars as pl
@@ -124,7 +124,7 @@ def flat_table(path: Path, where: str, most_cells: int | None = None) -> pl.Lazy
     if most_cells is not None and rows * len(kinds) > most_cells:
         raise UndertowError(too_many_cells(where, rows, len(kinds), most_cells))
     table = _scanned(path)
-    text = _HELPER.answer(str(path.absolute()), "", _BREAKS)
+    text = _HELPER.answer(str(path.absolute()), "", _CRASHED)
     if text:
         raise UndertowError(_unreadable(where, text))
     return table.with_columns(
@@ -146,7 +146,7 @@ def _scanned(path: Path) -> pl.LazyFrame:
 
 
 def too_many_cells(where: str, rows: int, columns: int, most: int) -> str:
-    """What to say of a table that memory is not meant for."""
+    """The message on a table that is too large for memory."""
     return (
         f"{where} has {rows} rows of {columns} columns or more, at most {most // max(columns, 1)} such rows "
         f"can be read as a whole: {_SMALLER}"
@@ -159,7 +159,7 @@ def _unreadable(where: str, reason: str) -> str:
 
 
 _HELPER = Helper(_DECODE)
-_BREAKS = "the reader fails: the file is damaged or needs too much memory"
+_CRASHED = "the reader fails: the file is damaged or needs too much memory"
 
 
 _SMALLER = (
@@ -183,7 +183,7 @@ _PACKED = {
 }
 DAMAGED = (OSError, EOFError, zlib.error)
 """What reading a damaged gzip file raises, whole or in parts."""
-_PIECE = 1 << 20
+_PIECE_BYTES = 1 << 20
 # Decimals of an exact time: nanoseconds of seconds since 1970, with digits to spare before the point.
 _EXACT = pl.Decimal(38, 9)
 _ROW = "number of the row"
@@ -195,7 +195,7 @@ Origin = Decimal | float
 
 @dataclass(frozen=True)
 class LogLimits:
-    """What a log may be."""
+    """Limits on the size of a log."""
 
     # Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
     text: int = 500_000_000
@@ -203,7 +203,7 @@ class LogLimits:
     cells: int = 50_000_000
     columns: int = 5_000  # columns
     line: int = 1_000_000  # bytes of one line
-    # Rows that what is to be done with the log can take at all, blank ones and comments included.
+    # Rows that the operation on the log can take, blank ones and comments included.
     rows: int | None = None
 
     def check(self, size: int, rows: int, columns: int, where: str) -> None:
@@ -376,7 +376,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
             null_values=[*_ALWAYS_MISSING, *(value for value in mapping.missing if isinstance(value, str))],
         )
     except _UNREADABLE as error:
-        raise (_uneven(text, mapping, where) or error) from error
+        raise (_too_many_cells(text, mapping, where) or error) from error
 
 
 def _is_cell_of_number(cell: str) -> bool:
@@ -387,8 +387,8 @@ def _is_cell_of_number(cell: str) -> bool:
     return True
 
 
-def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
-    """That a line has more cells than the header names; None where none has."""
+def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
+    """The error where a line has more cells than the header names; None where none has."""
     lines = io.TextIOWrapper(io.BytesIO(text), encoding="utf-8-sig", newline="")
     rows, known = csv.reader(lines, delimiter=mapping.delimiter), 0
     for row in rows:
@@ -405,7 +405,7 @@ def _uneven(text: bytes, mapping: LogMapping, where: str) -> UndertowError | Non
 
 
 def header_of(text: bytes, mapping: LogMapping) -> bytes:
-    """The line of a text that names the columns; nothing where there is none, or its end is not there yet."""
+    """The line of a text that names the columns; empty where there is none, or it is incomplete."""
     comment, place = (mapping.comment or "\0").encode(), 0
     while place < len(text):
         end = text.find(b"\n", place) + 1 or len(text)
@@ -439,7 +439,7 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
 
 
 def _pieces(stream: gzip.GzipFile) -> Iterator[bytes]:
-    while piece := stream.read(_PIECE):
+    while piece := stream.read(_PIECE_BYTES):
         yield piece
 
 
@@ -453,7 +453,7 @@ def _refuse_doubled(columns: Iterable[str], where: str) -> None:
 
 def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> NDArray[np.float64]:
     """Return one column as numbers, NaN where a cell is missing."""
-    column = _plain(table[name])
+    column = _as_text(table[name])
     cells = _text_to_number(column, mapping, where) if column.dtype == pl.String else column
     if not (cells.dtype.is_numeric() or cells.dtype in (pl.Boolean, pl.Null)):
         raise UndertowError(
@@ -478,11 +478,11 @@ def _text_to_number(column: pl.Series, mapping: LogMapping, where: str) -> pl.Se
 
 def _cast(column: pl.Series, mapping: LogMapping) -> tuple[pl.Series, pl.Series]:
     """A column of texts as numbers, and the rows whose cells are none."""
-    cells = _pointed(column, mapping)
+    cells = _with_points(column, mapping)
     cast = cells.cast(pl.Float64, strict=False)
     if not (cast.is_null() & column.is_not_null()).any():
         return cast, pl.Series(dtype=pl.UInt32)
-    cells = _there(cells)  # the slow way only where it is needed
+    cells = _stripped(cells)  # the slow way only where it is needed
     bare = cells.str.extract(_WITH_UNIT, 1) if _unit_of(cells) else cells
     cast = bare.cast(pl.Float64, strict=False)
     return cast, (cast.is_null() & cells.is_not_null()).arg_true()
@@ -490,25 +490,25 @@ def _cast(column: pl.Series, mapping: LogMapping) -> tuple[pl.Series, pl.Series]
 
 def texts_in(table: pl.DataFrame, name: str, mapping: LogMapping) -> list[str]:
     """The cells of a column that are no numbers, and not known to be missing."""
-    column = _plain(table[name])
+    column = _as_text(table[name])
     if column.dtype != pl.String:
         return []
     return [str(cell).strip() for cell in column.gather(_cast(column, mapping)[1])]
 
 
-def _pointed(column: pl.Series, mapping: LogMapping) -> pl.Series:
+def _with_points(column: pl.Series, mapping: LogMapping) -> pl.Series:
     return column.str.replace(",", ".", literal=True) if mapping.decimal == "," else column
 
 
-def _there(cells: pl.Series) -> pl.Series:
+def _stripped(cells: pl.Series) -> pl.Series:
     cells = cells.str.strip_chars()
     return cells.set(cells.is_in(_ALWAYS_MISSING), None)
 
 
 def unit_of_cells(table: pl.DataFrame, name: str, mapping: LogMapping) -> str:
     """The unit that every cell of a column states behind its number ("1.76V"); "" where none does."""
-    column = _plain(table[name])
-    return _unit_of(_there(_pointed(column, mapping))) if column.dtype == pl.String else ""
+    column = _as_text(table[name])
+    return _unit_of(_stripped(_with_points(column, mapping))) if column.dtype == pl.String else ""
 
 
 def in_unit_of_cells(
@@ -556,31 +556,31 @@ def elapsed(
 ) -> tuple[NDArray[np.float64], Origin]:
     """Return the time column as numbers from an origin, in its own unit, and the origin.
 
-    Whole numbers and texts are subtracted before they become floats, in which nanoseconds since 1970 are
-    good to 256 only.
+    Whole numbers and texts are subtracted before they become floats, which resolve nanoseconds since 1970 to
+    256 only.
     """
     name = mapping.time.column
     raw = numbers(table, name, mapping, where)
     if origin is None and not (len(raw) and abs(scale * raw[0]) > _EPOCH):
         origin = 0.0
-    exact = _exactly(table[name], mapping.decimal) if origin != 0.0 else None
+    exact = _as_decimals(table[name], mapping.decimal) if origin != 0.0 else None
     if origin is None:
         origin = float(raw[0]) if exact is None else exact.item(0)
     rest = _nanoseconds(table, mapping, where)
     if exact is None or not isinstance(origin, Decimal):
         return raw - float(origin) + rest, origin
-    return np.where(np.isnan(raw), np.nan, _from(exact, origin)) + rest, origin
+    return np.where(np.isnan(raw), np.nan, _counts_since(exact, origin)) + rest, origin
 
 
 def _nanoseconds(table: pl.DataFrame, mapping: LogMapping, where: str) -> NDArray[np.float64] | float:
-    """What a second column adds to the times, s; nothing without one."""
+    """Times of the column of nanoseconds, s; zero without one."""
     name = mapping.time.nanoseconds
     return 0.0 if name is None else 1e-9 * numbers(table, name, mapping, where)
 
 
-def _exactly(column: pl.Series, decimal: str) -> pl.Series | None:
+def _as_decimals(column: pl.Series, decimal: str) -> pl.Series | None:
     """A column of numbers as decimals; None where they are floats, or not all of them can be."""
-    cells = _plain(column)
+    cells = _as_text(column)
     if cells.dtype == pl.String:
         cells = cells.str.strip_chars()
         cells = cells.str.replace(",", ".", literal=True) if decimal == "," else cells
@@ -590,24 +590,24 @@ def _exactly(column: pl.Series, decimal: str) -> pl.Series | None:
     return None if exact.is_null().any() else exact
 
 
-def _from(exact: pl.Series, origin: Decimal) -> NDArray[np.float64]:
+def _counts_since(exact: pl.Series, origin: Decimal) -> NDArray[np.float64]:
     return (exact - origin).cast(pl.Float64).fill_null(np.nan).to_numpy()
 
 
-def _plain(column: pl.Series) -> pl.Series:
-    """A column of categories as the texts that they stand for."""
+def _as_text(column: pl.Series) -> pl.Series:
+    """A column of categories as texts."""
     return column.cast(pl.String) if column.dtype in (pl.Categorical, pl.Enum) else column
 
 
 def seconds(
     table: pl.DataFrame, name: str, where: str, origin: Origin | None = None
 ) -> tuple[NDArray[np.float64], str, Origin]:
-    """Return a column of dates or times (or ISO 8601 texts) as seconds, the entry that is zero, its count.
+    """Return a column of dates or times (or ISO 8601 texts) as seconds, the entry at zero, and its count.
 
-    They count from the first entry, or from that of another part of the log, given by its count `origin`.
-    Durations are seconds already: they count from nothing, and the entry is empty.
+    Zero is the first entry, or that of another part of the log, given by its count `origin`. Durations are
+    seconds already: they have no origin, and the entry is empty.
     """
-    stamps = _plain(table[name])
+    stamps = _as_text(table[name])
     if stamps.dtype == pl.String:
         stamps = _parsed(padded(stamps), where)
     if not stamps.dtype.is_temporal():
@@ -620,9 +620,9 @@ def seconds(
         return np.full(table.height, np.nan), "", Decimal(0) if origin is None else origin
     ticks, tick = stamps.to_physical().cast(_EXACT), _tick(stamps.dtype)
     if stamps.dtype == pl.Duration:
-        return tick * _from(ticks, Decimal(0)), "", Decimal(0)
+        return tick * _counts_since(ticks, Decimal(0)), "", Decimal(0)
     zero = Decimal(origin) if origin is not None else ticks.drop_nulls().item(0)
-    return tick * _from(ticks, zero), str(first), zero
+    return tick * _counts_since(ticks, zero), str(first), zero
 
 
 def padded(stamps: pl.Series) -> pl.Series:
@@ -667,7 +667,7 @@ def has_dates(column: pl.Series) -> bool:
 
 def lacking_zeros(table: pl.DataFrame, name: str) -> list[str]:
     """A note on fractions of a second that were read with zeros before them, none where there are none."""
-    stamps = _plain(table[name])
+    stamps = _as_text(table[name])
     if stamps.dtype != pl.String:
         return []
     changed = (padded(stamps) != _as_iso(stamps)).arg_true()

@@ -21,7 +21,7 @@ from undertow.identification.estimation.weak_form import adapted, free_parameter
 from undertow.identification.estimation.windows import HORIZONS, Prediction, cut, geometric_mean
 from undertow.identification.findings import ChosenSegment, LongLogs, ModelOnTheRest, Rest, Role, WholeLog
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.logs.opening import refuse_twins, with_distinct_names
+from undertow.identification.logs.opening import refuse_duplicates, with_distinct_names
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import MEASURABLE, Run
 from undertow.identification.logs.table import WHOLE, size_of, too_many_cells
@@ -118,7 +118,7 @@ def read_in_parts(log: LongLog) -> Run:
 def short_parts(vehicle: Vehicle, logs: Sequence[LongLog]) -> list[Run]:
     """The same for the logs of a vehicle, with velocities, each with a name of its own."""
     runs = [velocities_from_pose(read_in_parts(log), vehicle.degrees_of_freedom) for log in logs]
-    refuse_twins(runs)
+    refuse_duplicates(runs)
     return with_distinct_names(runs)
 
 
@@ -200,7 +200,7 @@ def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: P
             raise UndertowError(f"log {log.path} has no two samples in the time window: widen it")
         spool.template = replace(spool.template, sha256=log.sha256)
         spools.append(spool)
-    refuse_twins([spool.template for spool in spools])
+    refuse_duplicates([spool.template for spool in spools])
     for spool, template in zip(spools, with_distinct_names([s.template for s in spools]), strict=True):
         spool.template = template
     return spools

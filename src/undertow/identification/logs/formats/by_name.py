@@ -25,7 +25,7 @@ CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
 """The clock of the table of a log."""
 
 _TIME = "time [s]"
-# Names of matrices, and what their columns are called; MSS (Fossen) calls pose eta and velocity nu.
+# Names of matrices, and of their columns; MSS (Fossen) calls pose eta and velocity nu.
 _SIX_MOVES = ("surge", "sway", "heave", "p", "q", "r")
 SIX = {"eta": POSE, "pose": POSE, "nu": _SIX_MOVES, "tau": tuple(name[4:] for name in FORCES)}
 TURNED = {"euler", "rpy", "angles", "attitude", "orientation", "theta_nb", "eul"}
@@ -34,10 +34,10 @@ Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
 
 
 def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | None = None) -> Meaning:
-    """Guess a mapping and the commands of series, and what is to be asked.
+    """Guess a mapping and the commands of series, with questions.
 
-    Series that know most of the motion are believed first. No channel is guessed that is understood already
-    (`known`, by ``series.column``).
+    Series with most of the motion take precedence. No channel is guessed that is known already (`known`, by
+    ``series.column``).
     """
     columns, notes, frames = dict(known or {}), [], Frames()
     taken = {column.channel for column in columns.values()}
@@ -45,13 +45,13 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     found = [(one, _guess(path, one)) for one in series if len(one.t) > 1]
     found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
     for number, (one, guess) in enumerate(found):
-        plain = [g for g in guess.columns if not g.is_formula]
-        new = [g for g in plain if g.channel in UNITS and g.channel not in taken and _can_be(one, g)]
-        columns |= {f"{one.name}.{_plain(one, g)}": _column(one, g) for g in new}
+        direct = [g for g in guess.columns if not g.is_formula]
+        new = [g for g in direct if g.channel in UNITS and g.channel not in taken and _has_unit(one, g)]
+        columns |= {f"{one.name}.{_name_in_series(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
-        driving += [f"{one.name}.{_plain(one, g)}" for g in plain if g.channel not in UNITS]
-        doubtful = [g for g in new if g.doubt and _plain(one, g) not in one.units]
-        doubts = [f"{one.name}.{_plain(one, g)}: {g.doubt}" for g in doubtful]
+        driving += [f"{one.name}.{_name_in_series(one, g)}" for g in direct if g.channel not in UNITS]
+        doubtful = [g for g in new if g.doubt and _name_in_series(one, g) not in one.units]
+        doubts = [f"{one.name}.{_name_in_series(one, g)}: {g.doubt}" for g in doubtful]
         notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]
         if number == 0 and not known:
             frames = Frames.model_validate(guess.axes.entry)
@@ -61,18 +61,18 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
 def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
     """A mapping file of a native vehicle log: what its format defines, and guesses and questions on the rest.
 
-    Commands that the log is not known to hold are looked for by name among its columns. If no motion is
-    known, everything is guessed.
+    Commands that are not known in the log are searched by name among its columns. If no motion is known,
+    everything is guessed.
     """
     meaning = log.mapping_for(vehicle.command_names if vehicle else ())
     every = [f"{one.name}.{column}" for one in log.series.values() for column in one.columns]
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
     if log.by_name or not MEASURED & {guess.channel for guess in known}:
         return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK)
-    moving = _may_move(log, {guess.channel for guess in known}, vehicle)
+    moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]
-    left = [n for n in every if lacking and n not in meaning.columns and _may_drive(n, lacking)]
+    left = [n for n in every if lacking and n not in meaning.columns and _may_be_command(n, lacking)]
     if lacking and log.actuators:  # they are as many as the vehicle has not
         left = [name for name, _ in log.actuators]
     guessed = guess_table(log.table(left), log.path, vehicle, HELD, CLOCK).columns if left else ()
@@ -110,7 +110,7 @@ _VELOCITIES = (
 )
 
 
-def _may_move(log: FieldLog, known: Set[str], vehicle: Vehicle | None) -> tuple[str, ...]:
+def _possible_velocities(log: FieldLog, known: Set[str], vehicle: Vehicle | None) -> tuple[str, ...]:
     """Columns whose names mean a velocity of the vehicle that is not `known`, and that change."""
     wanted = {*(vehicle.velocity_names if vehicle else VELOCITY)} - known
     every = {f"{one.name}.{column}": (one, column) for one in log.series.values() for column in one.columns}
@@ -123,13 +123,13 @@ def _changes(one: Series, column: str) -> bool:
     return bool(np.any(values[1:] != values[:1]))
 
 
-def _may_drive(column: str, commands: Sequence[str]) -> bool:
+def _may_be_command(column: str, commands: Sequence[str]) -> bool:
     name = Name.of(column)
     return name.is_command or any(name.drives(command, {}) < NO_FIT for command in commands)
 
 
 def _as_guesses(known: Mapping[str, Column] | Mapping[str, Channel]) -> list[Guess]:
-    """What is known of columns, and of channels that are computed from several, without a doubt."""
+    """Known columns, and channels that are computed from several, as guesses without a doubt."""
     return [
         Guess(name, {"channel": name, **one.model_dump(exclude_defaults=True, mode="json", by_alias=True)})
         for name, one in known.items()
@@ -139,21 +139,21 @@ def _as_guesses(known: Mapping[str, Column] | Mapping[str, Channel]) -> list[Gue
 def _guess(path: Path, one: Series) -> GuessedMapping:
     """The guess for a series, whose columns have the units that are known in their names."""
     rows = slice(None, SETTINGS.rows)
-    table = {_TIME: one.t[rows]} | {_called(one, name): column[rows] for name, column in one.columns.items()}
+    table = {_TIME: one.t[rows]} | {_with_unit(one, n): column[rows] for n, column in one.columns.items()}
     return guess_table(pl.DataFrame(table, nan_to_null=True), path)
 
 
-def _called(one: Series, name: str) -> str:
+def _with_unit(one: Series, name: str) -> str:
     return f"{name} [{one.units[name]}]" if name in one.units else name
 
 
-def _plain(one: Series, guess: Guess) -> str:
-    return next(name for name in one.columns if _called(one, name) == guess.column)
+def _name_in_series(one: Series, guess: Guess) -> str:
+    return next(name for name in one.columns if _with_unit(one, name) == guess.column)
 
 
-def _can_be(one: Series, guess: Guess) -> bool:
+def _has_unit(one: Series, guess: Guess) -> bool:
     """Whether the unit that the log states is one of the channel."""
-    return fits(one.units.get(_plain(one, guess)), guess.channel)
+    return fits(one.units.get(_name_in_series(one, guess)), guess.channel)
 
 
 def fits(unit: str | None, channel: str) -> bool:
@@ -167,10 +167,10 @@ def fits(unit: str | None, channel: str) -> bool:
 
 
 def _column(one: Series, guess: Guess) -> Column:
-    name, entry = _plain(one, guess), dict(guess.entry)
+    name, entry = _name_in_series(one, guess), dict(guess.entry)
     entry["unit"] = one.units.get(name, entry["unit"])
-    flag = next((n for n in one.columns if _called(one, n) == entry.get("fresh")), "")
-    # Where samples are blank these tell which are new.
+    flag = next((n for n in one.columns if _with_unit(one, n) == entry.get("fresh")), "")
+    # Blank samples show already which ones are new.
     entry["fresh"] = f"{one.name}.{flag}" if flag and not np.isnan(one.columns[name]).any() else None
     return Column.model_validate(entry)
 
@@ -178,17 +178,17 @@ def _column(one: Series, guess: Guess) -> Column:
 def numbered(
     names: Sequence[str], columns: Mapping[str, Column], known: Mapping[str, Column] | None = None
 ) -> tuple[tuple[str, Column], ...]:
-    """Of columns whose names differ in their last number the most numerous, in its order, as is known."""
+    """The largest group of columns whose names differ in their last number, in its order, as motors."""
     most = max(rows_by_number(n for n in names if n not in columns), key=len, default=[])
-    plain = known or {}
+    known = known or {}
     return tuple(
-        (name, plain.get(name, Column(channel=name)).model_copy(update={"channel": f"motor{k}"}))
+        (name, known.get(name, Column(channel=name)).model_copy(update={"channel": f"motor{k}"}))
         for k, name in enumerate(most, 1)
     )
 
 
 def names_of_columns(name: str, width: int) -> list[str]:
-    """What the columns of a matrix are called: by axis where they are three or six, else by number."""
+    """Names of the columns of a matrix: by axis where they are three or six, else by number."""
     if width == 6 and name.lower() in SIX:
         return [f"{name}_{axis}" for axis in SIX[name.lower()]]
     if width == 3:

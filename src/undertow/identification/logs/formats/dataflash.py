@@ -81,7 +81,7 @@ class _Kind:
     columns: tuple[str, ...]
 
     def cell(self, column: str) -> tuple[np.dtype[np.generic], int]:
-        """Type of the cells of a column, and how far they stand from the begin of a message."""
+        """Type of the cells of a column, and their offset in a message."""
         if column not in self.columns:
             raise UndertowError(
                 f"messages {self.name} of the log have no {column!r}: it is damaged, copy it again"
@@ -100,7 +100,7 @@ class _Messages:
     data: Bytes
 
     def cells(self, column: str) -> NDArray[np.generic]:
-        """Cells of a column as they stand in the file."""
+        """Cells of a column as stored in the file."""
         cell, offset = self.kind.cell(column)
         # A cell may begin at any byte: a view in which every byte begins one.
         count = max(len(self.data) - cell.itemsize + 1, 0)
@@ -130,7 +130,7 @@ class _Messages:
 
 
 class Columns(Mapping[str, Array]):
-    """Columns that are made when they are asked for, and kept; readers add what is computed from others."""
+    """Columns that are computed when first used, and cached; readers add those computed from others."""
 
     def __init__(self, makers: Mapping[str, Callable[[], Array]]) -> None:
         self.makers, self._made = dict(makers), dict[str, Array]()
@@ -267,7 +267,7 @@ def open_records(path: Path) -> Records:
 
 
 def _bytes(path: Path) -> Bytes:
-    """The bytes of a file; those of a large one stay on the disk until they are looked at."""
+    """The bytes of a file; those of a large one are read from the disk when used."""
     if path.stat().st_size < _MAPPED:  # a file that is mapped must not be replaced meanwhile
         return np.fromfile(path, dtype=np.uint8)
     return np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
@@ -361,10 +361,10 @@ def _unit(label: str, factor: float) -> str:
 def _read(path: Path, messages: Path | None) -> FieldLog:
     with warnings.catch_warnings():  # casts of damaged numbers
         warnings.simplefilter("ignore", RuntimeWarning)
-        return _understood(path, open_records(path))
+        return _interpreted(path, open_records(path))
 
 
-def _understood(path: Path, file: Records) -> FieldLog:
+def _interpreted(path: Path, file: Records) -> FieldLog:
     parameters = _parameters(file)
     firmware = next((text for text in file.texts("MSG", "Message") if re.match(r"Ardu\w+ V", text)), "")
     known = _Navigation(file, parameters)
@@ -511,7 +511,7 @@ class _Navigation:
         return named(name, {"p": "p", "q": "q", "r": "r"})
 
     def _bias(self, t: Array) -> Array:
-        """Bias of the gyros, rad/s, (n, 3): what the estimator said last."""
+        """Bias of the gyros, rad/s, (n, 3): the last estimates."""
         rows = self._rows(f"{self.family}1", "GX", "GY", "GZ") if self.family else None
         if rows is None:
             return np.zeros((len(t), 3))
@@ -544,7 +544,7 @@ _RESET = re.compile(
 def _computed(
     columns: Mapping[str, Array], names: Sequence[str], make: Callable[[], Sequence[Array] | Array]
 ) -> None:
-    """Add columns that are made together, once one of them is asked for."""
+    """Add columns that are computed together when one of them is first used."""
     assert isinstance(columns, Columns)
     made = cache(make)
     for k, name in enumerate(names):

@@ -39,19 +39,19 @@ TIME, STRETCH = "t", "stretch"
 class UnionSettings:
     """How clocks are read, and how several series are merged into the rows of one table."""
 
-    # Samples closer than this share of the shortest usual step of a series stand in one row: drivers stamp
-    # what they take together a few microseconds apart.
-    together: float = 0.05
-    # s by which one time in a file may stand out from those beside it, and that may pass between the first
-    # two and the last two: farther ones are damaged.
+    # Samples closer than this share of the shortest usual step of a series are in one row: drivers stamp
+    # simultaneous samples a few microseconds apart.
+    same_row: float = 0.05
+    # s by which one time in a file may differ from its neighbours, and largest time between the first two and
+    # the last two: other times are damaged.
     jump: float = 1.0
     pause: float = 3600.0
-    # Rows times columns of a table that are held at once: 8 bytes each, three times over while they are put
-    # together. Ten hours of ArduSub have as many.
+    # Rows times columns of a table that are held at once: 8 bytes each, three times over while they are
+    # merged. Ten hours of ArduSub have as many.
     cells: int = 50_000_000
-    # s that are read on either side of a part of a log: what is held there was sent before it begins.
+    # s that are read on either side of a part of a log: commands that are held there were sent before.
     margin: float = 10.0
-    looked_at: int = 20_000  # samples from which the meaning of columns is guessed; more change no guess
+    guess_rows: int = 20_000  # samples from which the meaning of columns is guessed; more change no guess
     since: float = 1e6  # s; a clock that begins later does not begin with the log
 
 
@@ -64,7 +64,7 @@ class Series:
 
     name: str  # as in the file; with an instance in brackets where there are several, such as ``XKF1[0]``
     t: Array  # times in s from the start of the log, in the order of the file, (n,)
-    # values as logged, (n,), by name; they may be decoded when they are asked for
+    # values as logged, (n,), by name; they may be decoded when first used
     columns: Mapping[str, Array]
     # units that the file states, by name of the column; those that it does not state are missing
     units: Mapping[str, str] = field(default_factory=dict)
@@ -85,8 +85,8 @@ class FieldLog:
     path: Path  # the file or, of some formats, the folder
     format: str  # name of its format
     series: Mapping[str, Series]  # by name
-    # what is understood without being told: columns, called ``series.column``, and frames. Commands are not
-    # in it, since their names are those of the vehicle file.
+    # what the format defines: columns, called ``series.column``, and frames; without commands, since their
+    # names are those of the vehicle file
     mapping: LogMapping = field(default_factory=LogMapping)
     # columns that drive the vehicle in the order of their motors, each with what is known of its unit
     actuators: tuple[tuple[str, Column], ...] = ()
@@ -94,11 +94,10 @@ class FieldLog:
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     # parts to be used, s: armed, and on one side of a reset of the estimator; empty for the whole log
     intervals: tuple[Interval, ...] = ()
-    notes: tuple[str, ...] = ()  # what was left out, repaired or looked odd, one line each
-    # what was chosen or is not sure of `mapping`: of no interest where another one is given
-    remarks: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()  # what the log consists of, if that is not what is at its path
-    by_name: bool = False  # whether all that is understood of it was guessed from names
+    notes: tuple[str, ...] = ()  # data that were left out, repaired or unusual, one line each
+    remarks: tuple[str, ...] = ()  # choices and doubts in `mapping`: irrelevant where another one is given
+    files: tuple[Path, ...] = ()  # files of the log, if not those at its path
+    by_name: bool = False  # whether all of `mapping` was guessed from names
 
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
         """The known mapping, with the commands of a vehicle as its columns.
@@ -108,7 +107,7 @@ class FieldLog:
         """
         taken = {column.channel for column in self.mapping.columns.values()}
         wanted = [name for name in commands if name not in taken]
-        driven = self._called(wanted)
+        driven = self._columns_named(wanted)
         called = wanted or [column.channel for _, column in self.actuators]
         if not driven and len(called) == len(self.actuators):
             driven = {
@@ -120,7 +119,7 @@ class FieldLog:
         known = {**self.mapping.columns, **driven}
         return self.mapping.model_copy(update={"time": time, "columns": known, "missing_commands": policy})
 
-    def _called(self, commands: Sequence[str]) -> dict[str, Column]:
+    def _columns_named(self, commands: Sequence[str]) -> dict[str, Column]:
         """Columns that have the names of commands, and those of series with a single one that have."""
         found = {
             s.name: f"{s.name}.{next(iter(s.columns))}"
@@ -141,19 +140,19 @@ class FieldLog:
         It has `TIME`, `STRETCH` where the log has segments, and columns ``series.column``. Only the part in
         the window, s, is used: of a table too large for memory no other is held.
         """
-        asked: dict[str, list[str]] = {}
+        wanted: dict[str, list[str]] = {}
         for name in dict.fromkeys(columns):
-            series, column = self._found(name)
-            asked.setdefault(series, []).append(column)
-        if not asked:
+            series, column = self._series_and_column(name)
+            wanted.setdefault(series, []).append(column)
+        if not wanted:
             raise UndertowError(
                 f"log {self.path}: none of its series is recognised as a motion; undertow import {self.path} "
                 "--out NEW.parquet writes all of it as a table, with a mapping file that asks what it means"
             )
-        kept, t, places = self._rows(asked, window)
+        kept, t, places = self._rows(wanted, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
         table = {TIME: t, **self._numbers(len(t), times, places)}
-        for (name, fields), place in zip(asked.items(), places, strict=True):
+        for (name, fields), place in zip(wanted.items(), places, strict=True):
             for column in fields:
                 cells = np.full(len(t), np.nan)
                 cells[place] = self.series[name].columns[column][kept[name]]
@@ -161,9 +160,9 @@ class FieldLog:
         return pl.DataFrame(table, nan_to_null=True)
 
     def beginning(self) -> pl.DataFrame:
-        """All columns side by side, as many rows as tell what they mean."""
+        """The first rows of all columns, as many as are needed to guess their meaning."""
         every = np.sort(np.concatenate([one.t[rising(one.t)] for one in self.series.values()]))
-        end = float(every[min(SETTINGS.looked_at, len(every)) - 1])
+        end = float(every[min(SETTINGS.guess_rows, len(every)) - 1])
         table = self.table(
             [f"{s.name}.{column}" for s in self.series.values() for column in s.columns], (None, end)
         )
@@ -175,12 +174,12 @@ class FieldLog:
         return hash_of(self.files) if self.files else file_hash(self.path)
 
     def _rows(
-        self, asked: Mapping[str, Sequence[str]], window: Window
+        self, wanted: Mapping[str, Sequence[str]], window: Window
     ) -> tuple[dict[str, Places], Array, list[Places]]:
         """Samples that go into a table, its times, and their rows; of a part only where all are too many."""
         low, high = (e if w is None else w for w, e in zip(window, (-np.inf, np.inf), strict=True))
-        every = {name: rising(self.series[name].t) for name in asked}
-        width = 2 + sum(map(len, asked.values()))
+        every = {name: rising(self.series[name].t) for name in wanted}
+        width = 2 + sum(map(len, wanted.values()))
         t, places = union([self.series[name].t[rows] for name, rows in every.items()])
         if len(t) * width <= SETTINGS.cells:
             return every, t, places
@@ -209,7 +208,7 @@ class FieldLog:
         """Whether it has a column of this name, which joins those of a series and of its column."""
         return any(name == f"{s.name}.{column}" for s in self.series.values() for column in s.columns)
 
-    def _found(self, name: str) -> tuple[str, str]:
+    def _series_and_column(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
         for series in self.series:  # either may have points in it
             if name.startswith(f"{series}.") and name[len(series) + 1 :] in self.series[series].columns:
@@ -226,11 +225,11 @@ class FieldLog:
 
 
 HELD = LogMapping(missing_commands="hold")
-"""How commands are read that stand in rows of their own."""
+"""For commands in rows of their own."""
 
 
 def from_one_begin(found: Sequence[Series]) -> list[Series]:
-    """Clocks since 1970 begin with the first of them; others beside them begin with the log."""
+    """Series with one origin: the first time of clocks since 1970, the start of the log of other clocks."""
     firsts = [float(np.nanmin(one.t)) for one in found]
     late = [first for first in firsts if abs(first) > SETTINGS.since]
     begins = [min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts]
@@ -243,7 +242,7 @@ def in_order(log: FieldLog) -> FieldLog:
     clocks = {name.rpartition(".")[0] for name in columns} & {*log.series}
     counts, seams = list[str](), list[float]()
     for name in sorted(clocks):
-        lost, back = _lost(log.series[name].t)
+        lost, back = _out_of_order(log.series[name].t)
         seams += back
         counts += [f"{lost} of {name}"] if lost else []
     if not counts:
@@ -256,10 +255,10 @@ def in_order(log: FieldLog) -> FieldLog:
     return replace(log, intervals=tuple(intervals), notes=(*log.notes, *notes))
 
 
-def _lost(t: Array) -> tuple[int, list[float]]:
-    """How many samples are not later than all before, and times, s, from which clocks go on that went back.
+def _out_of_order(t: Array) -> tuple[int, list[float]]:
+    """How many samples are not later than all before, and times, s, at which a clock was set back for good.
 
-    Messages that arrive out of order are not such a clock, nor are a few damaged times.
+    Messages that arrive out of order are no such clock, nor are a few damaged times.
     """
     kept = rising(t)
     lost = np.setdiff1d(np.flatnonzero(np.isfinite(t)), kept)
@@ -308,7 +307,7 @@ class Format:
     # bytes of a file that can be read in 1.5 GB of memory; a larger one is refused unread
     largest: int = 400_000_000
     shorter: str = "save it in shorter files, or with fewer variables"  # how a file is made smaller
-    # whether its library hangs or breaks down with some damaged files, so that another process tries first
+    # whether its library hangs or crashes with some damaged files, so that another process tries first
     hangs: bool = False
     # the log of several files of one run, in the one format that has such logs
     together: Callable[[Sequence[Path]], FieldLog] | None = None
@@ -330,9 +329,9 @@ def rising(t: Array) -> Places:
 
 
 def steady(times: Array) -> Flags:
-    """Which times lie between their neighbours in the file: a damaged one would hide all that follow.
+    """Which times lie between their neighbours in the file: after a damaged one all others would be dropped.
 
-    Those of messages without a time, NaN, are sound.
+    Those of messages without a time, NaN, are accepted.
     """
     timed = np.flatnonzero(np.isfinite(times))
     t, sound = times[timed], np.ones(len(times), dtype=bool)
@@ -355,7 +354,7 @@ def union(times: Sequence[Array]) -> tuple[Array, list[Places]]:
     every, where = np.unique(np.concatenate([*times, np.zeros(0)]), return_inverse=True)
     own = np.split(where, np.cumsum([len(t) for t in times])[:-1])
     steps = [float(np.median(np.diff(t))) for t in times if len(t) > 1]
-    apart = np.diff(every) > SETTINGS.together * min(steps, default=0.0)
+    apart = np.diff(every) > SETTINGS.same_row * min(steps, default=0.0)
     row = np.concatenate([np.zeros(min(len(every), 1), dtype=np.intp), np.cumsum(apart)])
     if any(np.any(np.diff(row[place]) == 0) for place in own):  # two samples of one clock in a row: all apart
         return every, own
@@ -370,9 +369,9 @@ class MotionSettings:
     # Share of full output by which a motor leaves its rest: the dead band of a T200 with its speed controller
     # reaches to 0.07 at 16 V and 0.09 at 12 V, and pilots' sticks rest within half of that.
     off_rest: float = 0.04
-    coast: float = 5.0  # s that are kept after the last motor stopped: drag without thrust is worth having
-    shortest: float = 2.0  # s; a shorter segment has nothing to tell
-    reported: float = 0.1  # s; a shorter part that is left out is not worth a word
+    coast: float = 5.0  # s that are kept after the last motor stopped: drag without thrust is informative
+    shortest: float = 2.0  # s; a shorter segment has no information
+    reported: float = 0.1  # s; a shorter part that is left out is not mentioned
 
 
 MOTION = MotionSettings()
@@ -381,7 +380,7 @@ MOTION = MotionSettings()
 def armed_intervals(events: Iterable[tuple[float, bool]], span: Interval) -> list[Interval]:
     """Parts of a span in which the vehicle is armed, by the times at which that changed.
 
-    Before the first event it was what that event ended; without events it is taken to be armed.
+    Before the first event it was in the opposite state; without events it is taken to be armed.
     """
     ordered = sorted(events)
     if not ordered:
@@ -449,13 +448,13 @@ def _within(t: float, intervals: Iterable[Interval]) -> bool:
 def _left_out(span: Interval, used: Sequence[Interval], armed: Sequence[Interval]) -> list[str]:
     """One line on the parts of a span that are not used."""
     edges = [span[0], *(edge for stretch in used for edge in stretch), span[1]]
-    said = []
+    parts = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         switched = [edge for stretch in armed for edge in stretch if first < edge < last]
         for a, b in pairwise([first, *switched, last]):
             why = "motors at rest, or estimator without an aid" if _within((a + b) / 2, armed) else "disarmed"
-            said += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= MOTION.reported else []
-    return [f"left out: {', '.join(said)}"] if said else []
+            parts += [f"{a:.1f} to {b:.1f} s ({why})"] if b - a >= MOTION.reported else []
+    return [f"left out: {', '.join(parts)}"] if parts else []
 
 
 def _times(moments: Sequence[float]) -> str:
@@ -463,7 +462,7 @@ def _times(moments: Sequence[float]) -> str:
 
 
 def runs_of(t: Array, flags: Flags) -> list[Interval]:
-    """From where to where flags of samples are set, s."""
+    """Intervals in which flags of samples are set, s."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in edges.reshape(-1, 2)]
 
@@ -480,7 +479,7 @@ def cut_at(intervals: Iterable[Interval], resets: Iterable[float]) -> tuple[Inte
 
 
 # --- which format a log is of, and reading it -----------------------------------------------------
-_HEAD = 512  # bytes from the start of a file that tell its format
+_HEAD_BYTES = 512  # at the start of a file, which show its format
 TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 """Formats that are tables already."""
 
@@ -509,7 +508,7 @@ def format_of(path: Path) -> Format | None:
     """The format that a vehicle wrote a log in; None for tables, and for what is not there."""
     try:
         with path.open("rb") as stream:
-            head = stream.read(_HEAD)
+            head = stream.read(_HEAD_BYTES)
     except IsADirectoryError:
         head = b""
     except OSError:
@@ -540,7 +539,7 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
         return in_order(found.read(path, messages))
     except (UndertowError, MemoryError):
         raise
-    except Exception as error:  # whatever a library makes of a damaged file
+    except Exception as error:  # whatever a library raises for a damaged file
         words = str(error).split("\n")[0] or type(error).__name__
         raise UndertowError(f"log {path} cannot be read as {found.name}: {words}: copy it again") from error
 
@@ -551,7 +550,7 @@ def answer_whether_files_can_be_read() -> None:
         path, seconds = json.loads(line)
         if hasattr(signal, "setitimer"):  # it ends a process that hangs in a library, too
             signal.setitimer(signal.ITIMER_PROF, seconds)
-        with suppress(Exception):  # of what can be told, reading it tells
+        with suppress(Exception):  # the same error is raised again when the file is read
             found = format_of(Path(path))
             log = found.read(Path(path), None) if found else None
             for series in log.series.values() if log else ():
@@ -560,7 +559,7 @@ def answer_whether_files_can_be_read() -> None:
 
 
 def _seconds(size: int) -> float:
-    """Seconds of a processor that a file of so many bytes may take."""
+    """Limit on the CPU time for a file of so many bytes, s."""
     return TRIAL.least + TRIAL.per_megabyte * size / 1e6
 
 

@@ -1,8 +1,8 @@
 """ROS 1 .bag, ROS 2 .db3 and .mcap, and folders of rosbag2 (with metadata.yaml), by rosbags.
 
-Every topic is a series with all its numbers by name (``pose.pose.position.x``), decoded when they are asked
-for. Its times are those of the headers of its messages, where they have any and the clock is that of the bag;
-else when they were recorded. What the usual messages mean is said in `meaning`.
+Every topic is a series with all its numbers by name (``pose.pose.position.x``), decoded when first used. Its
+times are those of the headers of its messages, where they have any and the clock is that of the bag; else the
+recording times. `meaning` interprets the usual messages.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _AXES = ("x", "y", "z")
 _DOWN, _UP = ("ned", "frd"), ("enu", "flu")  # words in the names of frames
 _LINEAR, _RATES = dict(zip("uvw", _AXES, strict=True)), dict(zip("pqr", _AXES, strict=True))
 
-# Types in the order in which they are believed, and which of their fields are what.
+# Types in order of precedence, and the kinds of their fields.
 _TYPES: dict[str, dict[Kind, str]] = {
     "nav_msgs/msg/Odometry": {"pose": "pose.pose", "twist": "twist.twist"},
     "geometry_msgs/msg/PoseWithCovarianceStamped": {"pose": "pose.pose"},
@@ -86,14 +86,14 @@ class Topic:
 
 
 @dataclass
-class _Understood:
-    """What is known so far: columns by channel, and what is to be said."""
+class _Interpretation:
+    """Columns by channel as known so far, and notes."""
 
     columns: dict[str, tuple[str, Column]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def take(self, topic: Topic, named: Mapping[str, str], **known: Any) -> None:
-        """Let columns of a topic be channels that no other is."""
+        """Use columns of a topic for channels that have none yet."""
         for channel, name in named.items():
             if channel not in self.columns:
                 place = f"{topic.series.name}.{name}"
@@ -104,7 +104,7 @@ class _Understood:
 def derived(
     type_: str, columns: Mapping[str, Array], messages: Sequence[Any], constants: Mapping[str, Any]
 ) -> dict[str, Array]:
-    """Columns that are computed from those of a topic: angles, and velocities by what was tracked."""
+    """Columns that are computed from those of a topic: angles, and velocities over ground and in water."""
     found: dict[str, Array] = {}
     for name in columns:
         if _QUATERNION.match(name):
@@ -126,10 +126,10 @@ def _tracked(
     modes = [_mode(message, constants) for message in messages]
     found = {}
     for what in ("bottom", "water"):
-        there = good & np.array([mode in (what, "") if what == "bottom" else mode == what for mode in modes])
-        if there.any():
+        valid = good & np.array([mode in (what, "") if what == "bottom" else mode == what for mode in modes])
+        if valid.any():
             for axis in _AXES:
-                found[f"{what}.{axis}"] = np.where(there, columns[f"velocity.{axis}"], np.nan)
+                found[f"{what}.{axis}"] = np.where(valid, columns[f"velocity.{axis}"], np.nan)
     return found
 
 
@@ -155,16 +155,16 @@ def _is_mode(constant: str, number: Any, value: Any) -> bool:
 # --- what they mean -------------------------------------------------------------------------------
 def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]:
     """The mapping, the columns that drive the vehicle, and notes on what was chosen."""
-    known, sources = _Understood(), list(_sources(topics))
+    known, sources = _Interpretation(), list(_sources(topics))
     frames = _frames(sources, known) if sources else Frames()
     filled = {c for topic, fields in sources for c, n in _named(topic, fields, frames) if _filled(topic, n)}
     for topic, fields in sources:
         _take_motion(known, topic, fields, frames, filled)
-    for topic in (one for one in _most(topics, _DVL) if "velocity.x" in one.series.columns):
+    for topic in (one for one in _by_samples(topics, _DVL) if "velocity.x" in one.series.columns):
         _take_doppler(known, topic, frames)
-    for topic in _most(topics, re.compile("/FluidPressure$")):
+    for topic in _by_samples(topics, re.compile("/FluidPressure$")):
         _take_depth(known, topic, frames)
-    for topic in _most(topics, re.compile("/BatteryState$")):
+    for topic in _by_samples(topics, re.compile("/BatteryState$")):
         known.take(topic, {"voltage": "voltage"}, unit="V")
     actuators = _actuators(topics, known)
     _take_wrench(known, topics, bool(actuators))
@@ -176,37 +176,37 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     return LogMapping(columns=columns, frames=frames), actuators, known.notes
 
 
-def _most(topics: Sequence[Topic], pattern: re.Pattern[str]) -> list[Topic]:
+def _by_samples(topics: Sequence[Topic], pattern: re.Pattern[str]) -> list[Topic]:
     """Topics of some types, those with most samples first."""
     return sorted((t for t in topics if pattern.search(t.type)), key=lambda t: -len(t.series.t))
 
 
 def _sources(topics: Sequence[Topic]) -> Iterator[tuple[Topic, dict[Kind, str]]]:
     for type_, fields in _TYPES.items():
-        for topic in sorted(_most(topics, re.compile(f"^{re.escape(type_)}$")), key=_doubt):
+        for topic in sorted(_by_samples(topics, re.compile(f"^{re.escape(type_)}$")), key=_precedence):
             yield topic, fields
 
 
-def _doubt(topic: Topic) -> tuple[bool, bool]:
-    """How doubtful it is that a topic is a measurement whose axes are known; the least is believed first.
+def _precedence(topic: Topic) -> tuple[bool, bool]:
+    """Sort key of topics: measurements before set-points, and those with known axes first.
 
-    A set-point has the type of what is measured, and where no header names a frame, of two poses one may be
+    A set-point has the type of a measurement, and where no header names a frame, one of two poses may be
     latitude and longitude.
     """
     name = topic.series.name
-    framed = bool(topic.frame or topic.child or _said(name, *_DOWN, *_UP))
-    return is_wanted(name) or _said(name.rsplit("/", 1)[-1], *_CONTROL), not framed
+    framed = bool(topic.frame or topic.child or _has_word(name, *_DOWN, *_UP))
+    return is_wanted(name) or _has_word(name.rsplit("/", 1)[-1], *_CONTROL), not framed
 
 
-def _said(name: str, *words: str) -> bool:
+def _has_word(name: str, *words: str) -> bool:
     """Whether the name of a frame has one of some words in it."""
     return bool(set(re.split("[^a-z0-9]+", name.lower())) & set(words))
 
 
-def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Understood) -> Frames:
-    """Axes of the topic that is believed most."""
+def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Interpretation) -> Frames:
+    """Axes of the topic that takes precedence."""
     down, first = _is_down(sources[0][0]), sources[0][0]
-    if _doubt(first)[1]:
+    if _precedence(first)[1]:
         known.notes.append(
             f"{first.series.name} ({first.type}) names no frame: east-north-up is assumed, as in REP 103; "
             '[frames] position = "NED", body = "FRD" in a mapping file changes that'
@@ -226,18 +226,18 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Underst
 def _is_down(topic: Topic) -> bool:
     """Whether the axes of a topic point down."""
     frames = [topic.frame, topic.child] if topic.frame or topic.child else [topic.series.name]
-    return any(_said(name, *_DOWN) for name in frames) and not any(_said(n, *_UP) for n in frames)
+    return any(_has_word(name, *_DOWN) for name in frames) and not any(_has_word(n, *_UP) for n in frames)
 
 
 def _take_motion(
-    known: _Understood, topic: Topic, fields: Mapping[Kind, str], frames: Frames, filled: Set[str]
+    known: _Interpretation, topic: Topic, fields: Mapping[Kind, str], frames: Frames, filled: Set[str]
 ) -> None:
-    """Let a topic be the channels that no earlier one is; `filled` are those that some topic measures."""
-    before, like = len(known.columns), _is_down(topic) == (frames.position == "NED")
+    """Use a topic for channels that no earlier one has; `filled` are those that some topic measures."""
+    before, same_axes = len(known.columns), _is_down(topic) == (frames.position == "NED")
     named = {c: n for c, n in _named(topic, fields, frames) if _filled(topic, n) or c not in filled}
-    if like:
+    if same_axes:
         known.take(topic, named)
-    else:  # of other axes only what is measured along those of the body can be turned here
+    else:  # of other axes only velocities along those of the body can be converted here
         for channel, name in named.items():
             if channel in (*_LINEAR, *_RATES) and frames.velocity == "body":
                 known.take(topic, {channel: name}, scale=-1.0 if channel in FLIPPED_BODY else 1.0)
@@ -245,8 +245,8 @@ def _take_motion(
         _not_used(known, topic, named)
 
 
-def _not_used(known: _Understood, topic: Topic, channels: Iterable[str]) -> None:
-    """Say which topic has the channels that another could be."""
+def _not_used(known: _Interpretation, topic: Topic, channels: Iterable[str]) -> None:
+    """Note which other topic has the channels of one that is not used."""
     taken = {c: known.columns[c][0].split(".")[0] for c in channels if c in known.columns}
     of = f"{', '.join(taken)} are those of {' and '.join(dict.fromkeys(taken.values()))}"
     why = of if taken else "its axes are not those of the others"
@@ -280,14 +280,14 @@ def _filled(topic: Topic, name: str) -> bool:
 
 
 def _has_attitude(imu: Any) -> bool:
-    """Whether an inertial unit knows its attitude: else it says so by a covariance of -1."""
+    """Whether an inertial unit has an attitude: without one its covariance is -1."""
     q = imu.orientation
     return bool(imu.orientation_covariance[0] != -1.0 and (q.w, q.x, q.y, q.z) != (0.0, 0.0, 0.0, 0.0))
 
 
-def _take_doppler(known: _Understood, topic: Topic, frames: Frames) -> None:
+def _take_doppler(known: _Interpretation, topic: Topic, frames: Frames) -> None:
     columns, name = topic.series.columns, topic.series.name
-    flip = _said(topic.frame, "flu", "enu") != (frames.body == "FLU")
+    flip = _has_word(topic.frame, "flu", "enu") != (frames.body == "FLU")
     if "altitude" in columns:
         known.take(topic, {"altitude": "altitude"}, unit="m")
     if "bottom.x" not in columns:
@@ -306,7 +306,7 @@ def _take_doppler(known: _Understood, topic: Topic, frames: Frames) -> None:
         )
 
 
-def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
+def _take_depth(known: _Interpretation, topic: Topic, frames: Frames) -> None:
     if "z" in known.columns:
         return
     usual = float(np.nanmedian(topic.series.columns["fluid_pressure"]))
@@ -324,8 +324,8 @@ def _take_depth(known: _Understood, topic: Topic, frames: Frames) -> None:
     known.notes.append(f"{topic.series.name}: depth from pressure in {unit}, with {water}")
 
 
-def _take_wrench(known: _Understood, topics: Sequence[Topic], driven: bool) -> None:
-    wrenches = _most(topics, re.compile("/WrenchStamped$"))
+def _take_wrench(known: _Interpretation, topics: Sequence[Topic], driven: bool) -> None:
+    wrenches = _by_samples(topics, re.compile("/WrenchStamped$"))
     if not wrenches:
         return
     names = ", ".join(topic.series.name for topic in wrenches)
@@ -342,7 +342,7 @@ def _take_wrench(known: _Understood, topics: Sequence[Topic], driven: bool) -> N
 
 
 # --- what drives the vehicle ----------------------------------------------------------------------
-def _actuators(topics: Sequence[Topic], known: _Understood) -> tuple[tuple[str, Column], ...]:
+def _actuators(topics: Sequence[Topic], known: _Interpretation) -> tuple[tuple[str, Column], ...]:
     """Commands of the thrusters: a topic with a list of them, or numbered topics with one each."""
     driving = [topic for topic in topics if _DRIVES.search(topic.series.name) or _DRIVES.search(topic.type)]
     sets = [found for topic in driving if (found := _listed(topic))] + _numbered(driving)
@@ -356,11 +356,11 @@ def _actuators(topics: Sequence[Topic], known: _Understood) -> tuple[tuple[str, 
 
 
 def _listed(topic: Topic) -> list[str]:
-    found = [name for name in topic.series.columns if _LIST.fullmatch(name) and _some(topic, name)]
+    found = [name for name in topic.series.columns if _LIST.fullmatch(name) and _has_values(topic, name)]
     return [f"{topic.series.name}.{name}" for name in found]
 
 
-def _some(topic: Topic, name: str) -> bool:
+def _has_values(topic: Topic, name: str) -> bool:
     return bool(np.any(np.isfinite(topic.series.columns[name])))
 
 
@@ -377,7 +377,7 @@ _WHAT = "a log of ROS"
 
 @dataclass(frozen=True)
 class RosSettings:
-    """Numbers that decide what of a bag is read."""
+    """Limits on the messages of a bag that are read."""
 
     # Elements of a list that become columns, at most: commands and beams, but no covariances of six by six.
     longest: int = 16
@@ -393,7 +393,7 @@ SETTINGS = RosSettings()
 
 @dataclass
 class _Records:
-    """What a bag holds of one topic."""
+    """The messages of one topic in a bag."""
 
     type: str
     stamps: list[int]  # when recorded, ns
@@ -422,7 +422,7 @@ class _Decoded(Mapping[str, Array]):
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
     try:
-        records, types, notes = _recorded(path, messages)
+        records, types, notes = _read_records(path, messages)
     except MemoryError as error:  # a damaged length asks for it, too
         raise UndertowError(f"log {path} is damaged, or larger than the memory: copy it again") from error
     if not records:
@@ -437,14 +437,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             topics[name] = topic
         notes += [f"{name}: {note}"] if note else []
         notes += [] if topic else [f"{name}: no message can be decoded: left out"]
-    mapping, actuators, said = meaning(list(topics.values()))
+    mapping, actuators, remarks = meaning(list(topics.values()))
     series = {name: topic.series for name, topic in topics.items()}
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=tuple(notes), remarks=tuple(said))
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=tuple(notes), remarks=tuple(remarks))
 
 
 # --- from the file to records ---------------------------------------------------------------------
 class _Types:
-    """Definitions of messages, and what they make of bytes."""
+    """Definitions of messages, and decoding by them."""
 
     def __init__(self, store: Any, ros1: bool) -> None:
         self.store, self.ros1 = store, ros1
@@ -474,7 +474,7 @@ class _Types:
         """The message of some bytes; None for damaged ones."""
         try:
             return self.message(raw, name)
-        except Exception:  # whatever the library makes of them
+        except Exception:  # whatever the library raises for them
             return None
 
     def numbers(self, name: str, messages: list[Any]) -> dict[str, Array]:
@@ -500,18 +500,18 @@ class _Types:
         if np.max(counts, initial=0) > SETTINGS.longest:
             return
         for k in range(int(np.max(counts, initial=0))):
-            there = counts > k
+            valid = counts > k
             cells = [value[k] for value in values if len(value) > k]
             for rest, known in self._columns(element, cells):
                 column = np.full(len(values), np.nan)
-                column[there] = known
+                column[valid] = known
                 yield f"[{k}]{rest}", column
 
 
 _BASE, _NAME = 1, 2  # of rosbags.interfaces.Nodetype
 
 
-def _recorded(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _Types, list[str]]:
+def _read_records(path: Path, messages: Path | None) -> tuple[dict[str, _Records], _Types, list[str]]:
     typesys = library("rosbags.typesys", _WHAT)
     ros1 = path.suffix == ".bag"
     with library("rosbags.rosbag1" if ros1 else "rosbags.rosbag2", _WHAT).Reader(path) as reader:
@@ -554,7 +554,7 @@ def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[
     large: set[str] = set()
     kept = 0
     for connection, stamp, raw in messages:
-        name = connection.topic if len(types[connection.topic]) == 1 else _typed(connection)
+        name = connection.topic if len(types[connection.topic]) == 1 else _topic_with_type(connection)
         if name in large:
             continue
         if len(raw) > SETTINGS.largest:
@@ -574,7 +574,7 @@ def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[
     return records, large
 
 
-def _typed(connection: Any) -> str:
+def _topic_with_type(connection: Any) -> str:
     return f"{connection.topic} ({connection.msgtype})"
 
 
@@ -589,7 +589,7 @@ def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
         name = f"{holder.resolve().name}/msg/{file.stem}"
         try:
             found |= typesys.get_types_from_msg(file.read_text(encoding="utf-8"), name)
-        except Exception as error:  # whatever the parser makes of a text that is none
+        except Exception as error:  # whatever the parser raises for another text
             words = str(error).split("\n")[0]
             raise UndertowError(f"{file} is not a message definition: {words}") from error
     return found
@@ -597,11 +597,11 @@ def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
 
 # --- from records to series -----------------------------------------------------------------------
 def _times(one: _Records, types: _Types, begin: int) -> tuple[Array, str]:
-    """Times of the messages of a topic, s from the start of the bag, and what is odd about them."""
+    """Times of the messages of a topic, s from the start of the bag, and a note on unusual ones."""
     recorded = (np.array(one.stamps, dtype=np.int64) - begin).astype(np.float64) * 1e-9
     if not types.has_header(one.type):
         return recorded, ""
-    # Bytes 4 to 12 are the stamp: after the number of a message (ROS 1) or what says how numbers are written.
+    # Bytes 4 to 12 are the stamp: after the number of a message (ROS 1) or the byte order.
     order = ">u4" if not types.ros1 and one.raw[0][1] & 1 == 0 else "<u4"
     parts = np.frombuffer(b"".join(raw[4:12] for raw in one.raw), order).astype(np.int64).reshape(-1, 2)
     stamped = parts[:, 0] * 1_000_000_000 + parts[:, 1]
@@ -642,14 +642,14 @@ def _decoded(raw: list[bytes], type_: str, types: _Types, constants: Mapping[str
         return {}
     found = types.numbers(type_, messages)
     found |= derived(type_, found, messages, constants)
-    there = np.array([message is not None for message in decoded])
-    return {name: _spread(column, there) for name, column in found.items()}
+    valid = np.array([message is not None for message in decoded])
+    return {name: _with_blanks(column, valid) for name, column in found.items()}
 
 
-def _spread(known: Array, there: Flags) -> Array:
+def _with_blanks(known: Array, valid: Flags) -> Array:
     """A column with blanks for the messages that are damaged."""
-    column = np.full(len(there), np.nan)
-    column[there] = known
+    column = np.full(len(valid), np.nan)
+    column[valid] = known
     return column
 
 

@@ -41,7 +41,7 @@ ENDS = (".csv", ".csv.gz", ".parquet")
 
 @dataclass(frozen=True)
 class TableSettings:
-    """Numbers that decide how the tables of a run are read."""
+    """Limits on the tables of a run."""
 
     late: float = 0.05  # share of stamps that may be no later than one before
     since: float = 1e8  # s since 1970; stamps of messages are later
@@ -98,19 +98,19 @@ def _reason(error: UndertowError, file: Path) -> str:
 
 
 def _guessed(log: FieldLog) -> FieldLog:
-    """The log with what its columns mean by their names, commands apart from motions."""
+    """The log with the meaning of its columns guessed from their names, commands apart from motions."""
     guess = guess_table(log.beginning(), log.path, None, HELD, CLOCK)
     meaning = guess.meaning
     driving = [n for n, column in meaning.columns.items() if column.channel not in UNITS]
     columns = {n: column for n, column in meaning.columns.items() if n not in driving}
-    known = {n: _plain(meaning.columns[n]) for n in driving}
+    known = {n: _without_unit(meaning.columns[n]) for n in driving}
     mapping = meaning.model_copy(update={"columns": columns, "ignore": ()})
     return replace(
         log, mapping=mapping, actuators=numbered(driving, columns, known), remarks=tuple(guess.asked)
     )
 
 
-def _plain(column: Column) -> Column:
+def _without_unit(column: Column) -> Column:
     return column.model_copy(update={"unit": None})
 
 
@@ -128,7 +128,7 @@ def _names(files: Sequence[Path], folder: Path) -> list[str]:
 
 
 def _series(file: Path, name: str) -> tuple[Series, list[str]]:
-    """A table on its own clock, and a note on texts that stand for other times than they seem to."""
+    """A table on its own clock, and notes on time stamps that are read otherwise than written."""
     table, reading = whole_table(file)
     data = {c: values for c in table.columns if (values := numbers_of(table, c, reading)) is not None}
     stamps, parts = _stamps(data)
@@ -188,7 +188,7 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
     spans = sorted(
         (float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in found if _moves(one)
     )
-    for (_, end, before), (begin, _, after) in zip(_until_now(spans), spans[1:], strict=False):
+    for (_, end, before), (begin, _, after) in zip(_latest_end_so_far(spans), spans[1:], strict=False):
         if begin > end:
             raise UndertowError(
                 f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
@@ -196,7 +196,7 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
             )
 
 
-def _until_now(spans: Sequence[tuple[float, float, str]]) -> Iterator[tuple[float, float, str]]:
+def _latest_end_so_far(spans: Sequence[tuple[float, float, str]]) -> Iterator[tuple[float, float, str]]:
     """For each span, in the order of their starts, the one that ends last of all up to it."""
     return accumulate(spans, lambda a, b: max(a, b, key=lambda span: span[1]))
 

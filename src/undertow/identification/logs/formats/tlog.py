@@ -61,7 +61,7 @@ class _Frame:
 
 
 @dataclass
-class _Tally:
+class _Unreadable:
     """What could not be read."""
 
     broken: int = 0
@@ -81,9 +81,9 @@ class _Tally:
 Checksum = Callable[[bytes], int]
 
 
-def _frames(data: bytes, mavlink: ModuleType, checksum: Checksum) -> tuple[list[_Frame], _Tally]:
+def _frames(data: bytes, mavlink: ModuleType, checksum: Checksum) -> tuple[list[_Frame], _Unreadable]:
     """The messages of a file whose checksum is right."""
-    found, tally, place, lost = list[_Frame](), _Tally(), 0, False
+    found, tally, place, lost = list[_Frame](), _Unreadable(), 0, False
     while place + _STAMP < len(data):
         frame, sound = _frame(data, place, mavlink, checksum)
         if sound and frame:
@@ -160,7 +160,7 @@ class _Messages:
         return [cell.split(b"\0")[0].decode("utf-8", errors="replace") for cell in self.table[field].tolist()]
 
     @property
-    def plain(self) -> list[str]:
+    def number_fields(self) -> list[str]:
         """Fields with one number."""
         fields: Mapping[str, Any] = self.table.dtype.fields or {}
         return [name for name in self.kind.fieldnames if fields[name][0].kind in "iuf"]
@@ -193,7 +193,7 @@ def _by_kind(frames: Iterable[_Frame], mavlink: ModuleType) -> dict[str, _Messag
 
 
 def _autopilot(frames: Iterable[_Frame], mavlink: ModuleType) -> tuple[tuple[int, int], list[str]]:
-    """System and component of the vehicle's autopilot: it sends heartbeats and says of what kind it is."""
+    """System and component of the vehicle's autopilot, by its heartbeats, which name its type."""
     heartbeat, kind = mavlink.MAVLINK_MSG_ID_HEARTBEAT, 5  # place of the kind of autopilot in a heartbeat
     beats = Counter(
         f.source for f in frames
@@ -215,7 +215,7 @@ _NEAR = 10.0  # s by which a time of the vehicle may differ from that of arrival
 
 @dataclass(frozen=True, eq=False)
 class _Clock:
-    """From the vehicle's clock, s since it booted, to s since 1970: what to add from when on."""
+    """Offsets from the vehicle's clock, s since it booted, to s since 1970, and their start times."""
 
     since: Array
     offset: Array
@@ -267,10 +267,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         raise UndertowError(f"log {path} has no whole MAVLink message: check that it is complete")
     source, notes = _autopilot(frames, mavlink)
     own = _by_kind((f for f in frames if f.source == source), mavlink)
-    return _understood(path, own, [*tally.notes, *notes])
+    return _interpreted(path, own, [*tally.notes, *notes])
 
 
-def _understood(path: Path, own: dict[str, _Messages], notes: list[str]) -> FieldLog:
+def _interpreted(path: Path, own: dict[str, _Messages], notes: list[str]) -> FieldLog:
     clock = _clock(own)
     times = {name: clock.of(m) for name, m in own.items()}
     start = min(float(t.min()) for t in times.values())
@@ -290,8 +290,8 @@ def _understood(path: Path, own: dict[str, _Messages], notes: list[str]) -> Fiel
 
 def _series(name: str, messages: _Messages, t: Array) -> list[Series]:
     """The series of a kind of message: one for each instance where there are several."""
-    units = {n: u for n, u in messages.kind.fieldunits_by_name.items() if n in messages.plain}
-    table = {n: messages.numbers(n) for n in messages.plain}
+    units = {n: u for n, u in messages.kind.fieldunits_by_name.items() if n in messages.number_fields}
+    table = {n: messages.numbers(n) for n in messages.number_fields}
     label = messages.kind.instance_field or ("name" if "name" in messages else None)
     if label is None:
         return [Series(name, t, table, units)]
@@ -331,7 +331,7 @@ def _pace(series: Mapping[str, Series], driven: bool) -> list[str]:
 
 
 def _columns(series: dict[str, Series]) -> tuple[dict[str, Column], Any, list[str]]:
-    """What channels the series are, the axes of velocities, and notes."""
+    """Channels of the series, the axes of velocities, and notes."""
     found, velocity, notes = _position(series)
     if "ATTITUDE" in series:
         names = {"roll": "phi", "pitch": "theta", "yaw": "psi", "rollspeed": "p", "pitchspeed": "q",

@@ -38,12 +38,7 @@ _ARMED = 2  # vehicle_status.arming_state
 _POSITION, _ATTITUDE, _RATE = "vehicle_local_position", "vehicle_attitude", "vehicle_angular_velocity"
 _SAMPLED = (_POSITION, _ATTITUDE, _RATE)
 # Flags of vehicle_local_position, and the columns that mean nothing where they are not set.
-_VALID_FLAGS = {
-    "xy_valid": ("x", "y"),
-    "z_valid": ("z",),
-    "v_xy_valid": ("vx", "vy"),
-    "v_z_valid": ("vz",),
-}
+_VALID_FLAGS = {"xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",)}
 # The estimator of PX4 gives all in NED and forward-right-down axes, velocities along north, east, down.
 _KNOWN = {
     _POSITION: {"x": "x", "y": "y", "z": "z", "vx": "u", "vy": "v", "vz": "w"},
@@ -57,8 +52,8 @@ _FRAMES = Frames(position="NED", body="FRD", velocity="NED")
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
-    said = StringIO()  # pyulog prints what it finds damaged
-    with redirect_stdout(said):
+    output = StringIO()  # pyulog prints what it finds damaged
+    with redirect_stdout(output):
         log = _opened(path)
     if not log.data_list:
         raise UndertowError(f"log {path} has no data: check that it is complete")
@@ -69,9 +64,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         f"{name}.{column}": Column(channel=channel, unit=_UNITS.get(column))
         for name, meaning in _KNOWN.items()
         for column, channel in meaning.items()
-        if column in series.get(name, _NOTHING).columns and _some(series[name].columns[column])
+        if column in series.get(name, _NOTHING).columns and _has_values(series[name].columns[column])
     }
-    notes = [f"damaged: {line}" for line in said.getvalue().splitlines()[:1]]
+    notes = [f"damaged: {line}" for line in output.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
     notes += (
         [f"the logger dropped data {len(log.dropouts)} times, for {lost:.3g} s in all"]
@@ -88,7 +83,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         actuators,
         {name: value for name, value in log.initial_parameters.items() if isinstance(value, (int, float))},
         pieces,
-        (*notes, *_about_pulses(series, actuators), *cuts),
+        (*notes, *_note_on_pulses(series, actuators), *cuts),
     )
 
 
@@ -131,7 +126,7 @@ def _valid_only(columns: Mapping[str, Array]) -> dict[str, Array]:
     }
 
 
-def _some(column: Array) -> bool:
+def _has_values(column: Array) -> bool:
     return bool(np.any(np.isfinite(column)))
 
 
@@ -140,7 +135,7 @@ def _actuators(series: Mapping[str, Series]) -> tuple[tuple[str, Column], ...]:
     for name, column in (("actuator_motors", "control[{}]"), (_PULSES, "output[{}]")):
         data = series.get(name, _NOTHING).columns
         count = int(np.max(data["noutputs"])) if "noutputs" in data else 16
-        there = [n for k in range(count) if (n := column.format(k)) in data and _some(data[n])]
+        there = [n for k in range(count) if (n := column.format(k)) in data and _has_values(data[n])]
         if there:
             off = OFF if name == _PULSES else None
             return tuple(
@@ -149,8 +144,8 @@ def _actuators(series: Mapping[str, Series]) -> tuple[tuple[str, Column], ...]:
     return ()
 
 
-def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]) -> list[str]:
-    """What is said of outputs that are pulses, whose rest is known to the vehicle's builder only."""
+def _note_on_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]) -> list[str]:
+    """Note on outputs that are pulses, whose neutral only the vehicle's builder knows."""
     names = [name.removeprefix(f"{_PULSES}.") for name, _ in actuators if name.startswith(f"{_PULSES}.")]
     if not names:
         return []
@@ -164,7 +159,7 @@ def _about_pulses(series: Mapping[str, Series], actuators: tuple[tuple[str, Colu
 def _intervals(
     series: Mapping[str, Series], actuators: tuple[tuple[str, Column], ...]
 ) -> tuple[tuple[Interval, ...], list[str]]:
-    """Where the vehicle was armed and moved, cut where the estimator was reset, and what is said about it."""
+    """Intervals in which the vehicle was armed and moved, cut where the estimator was reset, and notes."""
     clocks = [series[name].t for name in _SAMPLED if name in series] or [s.t for s in series.values()]
     span = min(float(t[0]) for t in clocks), max(float(t[-1]) for t in clocks)
     jumps = {t for name in (_POSITION, _ATTITUDE) for t in _resets(series.get(name, _NOTHING))}
@@ -176,7 +171,7 @@ def _intervals(
 
 
 def _armed(status: Series, span: tuple[float, float]) -> list[tuple[float, float]]:
-    """Spells in which the vehicle was armed; all of a log that does not say so."""
+    """Intervals in which the vehicle was armed; the whole log if that is not logged."""
     if "arming_state" not in status.columns or not len(status.t):
         return [span]
     on = status.columns["arming_state"] == _ARMED
