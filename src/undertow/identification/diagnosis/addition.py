@@ -17,7 +17,7 @@ from undertow.identification.diagnosis.trial import Trial, try_candidate
 from undertow.identification.estimation.data import WeakData, Whitening, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
-from undertow.identification.estimation.residual import WeakModel, origins, plain, whitened
+from undertow.identification.estimation.residual import WeakModel, base_name, origins, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
@@ -148,7 +148,7 @@ def visible_effects(setup: AdditionSetup, known: Catalogue) -> list[type[Effect]
 
 def _visible(candidate: Candidate, start: WeakFit) -> bool:
     """Whether its parameters have any influence: a command delay has none on a vehicle without commands."""
-    used = {plain(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
+    used = {base_name(n) for n, own in zip(start.model.free, np.diag(start.gram), strict=True) if own > 0.0}
     return not candidate.parameters or any(p.name in used for p in candidate.parameters)
 
 

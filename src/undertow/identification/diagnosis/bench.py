@@ -15,8 +15,8 @@ from undertow.identification.estimation.fitted import Fitted, stated_by_run
 from undertow.identification.estimation.residual import (
     Linearised,
     WeakModel,
+    base_name,
     origins,
-    plain,
     whitened,
     with_values_by_run,
 )
@@ -111,7 +111,7 @@ class Bench:
         model = self.base.model
         if not np.any(prior_distance(model, self.base.p) > self.settings.far_from_prior):
             return {}
-        values = {n: model.functions.vehicle.value_of(plain(n)).value for n in model.free}
+        values = {n: model.functions.vehicle.value_of(base_name(n)).value for n in model.free}
         return {n: v for n, v in values.items() if np.isfinite(v)}
 
     def precompute(self) -> None:

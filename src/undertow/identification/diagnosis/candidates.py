@@ -13,7 +13,13 @@ import sympy as sm
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import stated_by_run
-from undertow.identification.estimation.residual import WeakModel, origins, plain, run_of, with_values_by_run
+from undertow.identification.estimation.residual import (
+    WeakModel,
+    base_name,
+    origins,
+    run_of,
+    with_values_by_run,
+)
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect, Measurement
@@ -115,7 +121,7 @@ class Candidate:
     def model_from(self, start: Mapping[str, float]) -> WeakModel:
         """The model with all free parameters, with values by run of those that the start has by run."""
         own = {p.name for p in self.parameters}
-        names = {plain(n) for n in start if run_of(n)} & own
+        names = {base_name(n) for n in start if run_of(n)} & own
         return self.model(with_values_by_run(self.free(), sorted(names), self.runs))
 
     def for_model(self, base: Vehicle) -> Candidate:
@@ -140,7 +146,7 @@ class Candidate:
 
     def vehicle_with(self, values: Mapping[str, float]) -> Vehicle:
         """The model with the effect added permanently: its parameters as found, all others as stated."""
-        by_run = {plain(n) for n in values if run_of(n)}
+        by_run = {base_name(n) for n in values if run_of(n)}
         found = {
             p.name: Value(values[p.name], estimate=True, per_run=True if p.name in by_run else None)
             for p in self.parameters

@@ -13,7 +13,7 @@ from scipy.stats import chi2, norm
 from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
-from undertow.identification.estimation.residual import plain
+from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import at_bounds
 from undertow.model.effect import Effect, Flow, Measurement, Parameter
 from undertow.model.symbols import MOTION_UNITS
@@ -216,8 +216,8 @@ def kept_with(
     if not gain_of(ahead, joint).suffices(settings.worth):
         return Kept(1.0, gain)
     names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
-    own = [n for n in given.model.free if plain(n) in names]
-    return Kept(_size(given, both, [n for n in own if names[plain(n)]] or own), gain)
+    own = [n for n in given.model.free if base_name(n) in names]
+    return Kept(_size(given, both, [n for n in own if names[base_name(n)]] or own), gain)
 
 
 def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
@@ -326,8 +326,8 @@ def _arm_at_bound(effect: Effect, fit: Fitted) -> str:
         return ""
     allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
     for name, end in at_bounds(fit.model, fit.p).items():
-        if plain(name) in places and abs(end) >= allowed[name]:
-            value = f"{name} = {fit.values[name]:.3g} {places[plain(name)]}"
+        if base_name(name) in places and abs(end) >= allowed[name]:
+            value = f"{name} = {fit.values[name]:.3g} {places[base_name(name)]}"
             return f"{value} is at the bound for a vehicle of this mass and inertia"
     return ""
 
@@ -379,7 +379,7 @@ def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
     before, after: fits of the model without and with it.
     """
     known = {str(symbol) for symbol in after.vehicle.mass_matrix.free_symbols}
-    free = [n for n in after.model.free if plain(n) in known]
+    free = [n for n in after.model.free if base_name(n) in known]
     return [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
 
 
@@ -393,7 +393,7 @@ def constant_heading(finding: FoundEffect, bench: Bench) -> str:
     runs = [r for data in (bench.train, bench.test) for r in data.runs]
     headings = [r.channels["psi"] for r in runs if r.has("psi")] or [np.zeros(1)]
     # If every run has a current of its own, headings of other runs carry no information on it.
-    by_run = any(plain(name) != name for name in finding.trial.fit.model.free)
+    by_run = any(base_name(name) != name for name in finding.trial.fit.model.free)
     turned = max(map(_heading_range, headings)) if by_run else _heading_range(np.concatenate(headings))
     if turned >= bench.settings.least_turn:
         return ""

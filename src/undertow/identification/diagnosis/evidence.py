@@ -13,7 +13,7 @@ from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
 from undertow.identification.estimation.data import WeakData, inverse_of
-from undertow.identification.estimation.residual import plain
+from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import prior_of
 from undertow.identification.estimation.weak_form import WeakFit, free_parameters, with_reestimated_noise
 from undertow.model.effect import Actuation, Measurement
@@ -126,7 +126,7 @@ class FoundEffect:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Parameters that its fit adds to the model."""
-        free = {plain(n) for n in self.trial.fit.model.free}
+        free = {base_name(n) for n in self.trial.fit.model.free}
         return tuple(p.name for p in self.trial.candidate.parameters if p.name in free)
 
     @property

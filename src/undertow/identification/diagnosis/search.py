@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from undertow.identification.estimation.data import WeakData, inverse_of
-from undertow.identification.estimation.residual import plain, whitened
+from undertow.identification.estimation.residual import base_name, whitened
 from undertow.identification.estimation.step import freed
 from undertow.identification.estimation.weak_form import (
     WeakFit,
@@ -118,7 +118,7 @@ def _change_and_columns(finding: FoundEffect, bench: Bench) -> tuple[Array, Arra
     fit = finding.trial.full
     at = whitened(fit.model.linearise(bench.train, fit.p), bench.train_whitening)
     own = {p.name for p in finding.trial.candidate.parameters}
-    chosen = [k for k, n in enumerate(fit.model.free) if plain(n) in own]
+    chosen = [k for k, n in enumerate(fit.model.free) if base_name(n) in own]
     return at.r - bench.base.at.r, at.J[:, chosen]
 
 
@@ -379,11 +379,11 @@ def _simpler_equivalents(
     if len(effect_set.findings) != 1 or len(rounds) != 1:
         return []
     near = much_simpler(effect_set.findings[0], effect_set.score.error, rounds[0].findings, bench.settings)
-    plain = [fitted(vehicle, [f], bench) for f in near]
-    if not plain:
+    simpler = [fitted(vehicle, [f], bench) for f in near]
+    if not simpler:
         return []
     best = under_own_noise(effect_set, bench).score
-    return [c for c in plain if as_good(best, under_own_noise(c, bench).score, bench)]
+    return [c for c in simpler if as_good(best, under_own_noise(c, bench).score, bench)]
 
 
 def much_simpler(

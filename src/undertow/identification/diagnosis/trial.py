@@ -15,8 +15,8 @@ from undertow.identification.estimation.fitted import BETWEEN_RUNS, least_differ
 from undertow.identification.estimation.residual import (
     Linearised,
     WeakModel,
+    base_name,
     origins,
-    plain,
     whitened,
     with_values_by_run,
 )
@@ -70,10 +70,10 @@ class Trial:
 
     def with_common_values(self, bench: Bench) -> Trial | None:
         """The same parameters with one value for all runs; None if none of them has one for each."""
-        own, free = {p.name for p in self.candidate.parameters}, self.fit.model.free
-        if not own & {*self.fit.model.values.by_run}:
+        names, free = {p.name for p in self.candidate.parameters}, self.fit.model.free
+        if not names & {*self.fit.model.values.by_run}:
             return None
-        common = tuple(dict.fromkeys(plain(n) if plain(n) in own else n for n in free))
+        common = tuple(dict.fromkeys(base_name(n) if base_name(n) in names else n for n in free))
         fit = bench.fit(self.candidate.model(common), start=self.fit.values)
         return replace(self, fit=fit, score=bench.score(fit))
 
@@ -339,7 +339,7 @@ def _best_starts(
         joint = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
         stated = model.functions.vehicle.value_of
-        now = np.array([values[n] if n in values else stated(plain(n)).value for n in model.free])
+        now = np.array([values[n] if n in values else stated(base_name(n)).value for n in model.free])
         step = bounded_step(joint, now, within_limits(bounds, now, reach), prior)
         cost = float(np.sum((joint.r + joint.J @ step) ** 2))
         names = _better_by_run(model, joint, cost, candidate, bench.train)

@@ -10,7 +10,7 @@ import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.estimation.fitted import SIGNIFICANT_T, BetweenRuns, Fitted
-from undertow.identification.estimation.residual import plain
+from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
     UNDETERMINED,
@@ -198,7 +198,7 @@ def error_of_sensors(
 def _has_determined_parameter(finding: FoundEffect) -> bool:
     """Whether any parameter of an effect is known to differ from zero."""
     fit = finding.trial.fit
-    own = [n for n in fit.model.free if plain(n) in finding.parameters]
+    own = [n for n in fit.model.free if base_name(n) in finding.parameters]
     return any(abs(fit.values[n]) > SIGNIFICANT_T * fit.standard_errors[n] for n in own)
 
 
@@ -276,8 +276,8 @@ def estimates(fit: Fitted, stated: Vehicle) -> list[Estimate]:
 def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
-    parameter = vehicle.declaration(plain(name))
-    prior = stated.values.get(plain(name))
+    parameter = vehicle.declaration(base_name(name))
+    prior = stated.values.get(base_name(name))
     return Estimate(
         name=name,
         effect=_effect_of(vehicle, parameter.name),
@@ -531,8 +531,8 @@ def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
 def _warning(
     vehicle: Vehicle, shifted: _ShiftedParameter, restoring: Sequence[ImprovedModel], alike: Sequence[str]
 ) -> str:
-    base_name = vehicle.declaration(shifted.name).name
-    owner = next(e.id for e in vehicle.all_effects if any(p.name == base_name for p in e.parameters))
+    declared = vehicle.declaration(shifted.name).name
+    owner = next(e.id for e in vehicle.all_effects if any(p.name == declared for p in e.parameters))
     line = f"{owner.replace('_', ' ')}: {shifted.name} {_shift_in_words(vehicle, shifted)}"
     if not restoring:
         missing = " or ".join(alike) or "something that is missing"

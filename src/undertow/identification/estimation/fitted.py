@@ -17,7 +17,7 @@ from undertow.typing import Array, Flags
 
 from .data import inverse_of
 from .pointwise import scale_directions
-from .residual import WeakModel, origins, plain, run_of
+from .residual import WeakModel, base_name, origins, run_of
 from .step import at_bounds, default_weights, estimated, follower_errors, followers, prior_of
 
 # --- whether environmental parameters differ between runs -----------------------------------------
@@ -149,8 +149,8 @@ def averaging_matrix(model: WeakModel, table: Sequence[BetweenRuns]) -> Array:
     rows = {t.parameter: t.weights for t in table}
     matrix = np.zeros((len(model.values.names), len(model.free)))
     for column, name in enumerate(model.free):
-        weights = rows.get(plain(name), {})
-        matrix[model.values.names.index(plain(name)), column] = weights.get(run_of(name), 1.0)
+        weights = rows.get(base_name(name), {})
+        matrix[model.values.names.index(base_name(name)), column] = weights.get(run_of(name), 1.0)
     return matrix
 
 
@@ -503,7 +503,7 @@ def _at_bound(fit: Fitted) -> dict[str, str]:
 def _far_from_prior(fit: Fitted, stated: Vehicle) -> dict[str, str]:
     found = {}
     for name in fit.model.free:
-        value, prior = fit.values[name], stated.value_of(plain(name))
+        value, prior = fit.values[name], stated.value_of(base_name(name))
         if prior.sigma:
             distance = abs(value - prior.value) / np.hypot(prior.sigma, fit.standard_errors[name])
             if distance > SETTINGS.far_from_prior:

@@ -32,7 +32,7 @@ from .test_functions import Entries, Supports, weighted_sums, weights_and_equati
 _AT = "@"
 
 
-def plain(name: str) -> str:
+def base_name(name: str) -> str:
     """The parameter behind a free one: V_N for V_N@dive2."""
     return name.partition(_AT)[0]
 
@@ -72,7 +72,7 @@ class RunValues:
         self.known = dict(known or {})
         self.free, self.size = tuple(free), len(functions.parameter_names)
         #: Free parameters as the equations have them, each once.
-        self.names = tuple(dict.fromkeys(map(plain, self.free)))
+        self.names = tuple(dict.fromkeys(map(base_name, self.free)))
         self._place = {name: i for i, name in enumerate(functions.parameter_names)}
         #: Values by run, in the order in which they stand in p.
         self.split = tuple(n for n in self.free if _AT in n)
@@ -88,13 +88,13 @@ class RunValues:
         """Names of the values by run of every parameter that has them."""
         found: dict[str, list[str]] = {}
         for name in self.split:
-            found.setdefault(plain(name), []).append(name)
+            found.setdefault(base_name(name), []).append(name)
         return found
 
     @cached_property
     def name_index(self) -> Index:
         """Place among `names` of the parameter behind every free one."""
-        return np.array([self.names.index(plain(n)) for n in self.free], dtype=np.intp)
+        return np.array([self.names.index(base_name(n)) for n in self.free], dtype=np.intp)
 
     @cached_property
     def places(self) -> tuple[int, ...]:
@@ -115,13 +115,13 @@ class RunValues:
                 p[self._place[name]] = value
         given: dict[str, list[float]] = {}
         for name, value in start.items():
-            if _AT in name and plain(name) in self._place:
-                given.setdefault(plain(name), []).append(value)
+            if _AT in name and base_name(name) in self._place:
+                given.setdefault(base_name(name), []).append(value)
         for name, values in given.items():
             if name not in start:
                 p[self._place[name]] = float(np.mean(values))
         for i, name in enumerate(self.split):
-            p[self.size + i] = start.get(name, p[self._place[plain(name)]])
+            p[self.size + i] = start.get(name, p[self._place[base_name(name)]])
         return p
 
     def of_run(self, p: Array, run: Run) -> Array:
@@ -136,7 +136,7 @@ class RunValues:
             found[self._place[name]] = float(np.mean([values[n] for n in there]))
         for name, value in (self.known | values).items():
             if run_of(name) == run.origin:
-                found[self._place[plain(name)]] = value
+                found[self._place[base_name(name)]] = value
         return found
 
     def columns(self, run: Run) -> Index:

@@ -18,7 +18,7 @@ from undertow.typing import Array
 
 from .data import WeakData
 from .pointwise import SCALES, Cut
-from .residual import Linearised, WeakModel, plain
+from .residual import Linearised, WeakModel, base_name
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ def bounds_of(model: WeakModel) -> tuple[Array, Array]:
     A vehicle of this mass, inertia and length allows no larger magnitudes, unless a standard deviation is
     stated that reaches farther.
     """
-    table = np.array([_joint_bounds(model, plain(name)) for name in model.free]).reshape(-1, 2)
-    values = [model.functions.vehicle.value_of(plain(n)) for n in model.free]
+    table = np.array([_joint_bounds(model, base_name(name)) for name in model.free]).reshape(-1, 2)
+    values = [model.functions.vehicle.value_of(base_name(n)) for n in model.free]
     stated = np.array([abs(v.value) + PRIOR_WIDTH * (v.sigma or 0.0) for v in values])
     largest = np.maximum(model.largest, stated)
     return np.maximum(table[:, 0], -largest), np.minimum(table[:, 1], largest)
@@ -103,7 +103,7 @@ def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
 
 def prior_of(model: WeakModel) -> tuple[Array, Array]:
     """Where stated priors are and how much they weigh."""
-    values = [model.functions.vehicle.value_of(plain(n)) for n in model.free]
+    values = [model.functions.vehicle.value_of(base_name(n)) for n in model.free]
     # A value without a stated error is not a prior, and may be infinite (a limit that is not there).
     centre = np.array([0.0 if v.sigma is None else v.value for v in values])
     weight = np.array([0.0 if v.sigma is None else 1.0 / (PRIOR_WIDTH * v.sigma) for v in values])
@@ -141,7 +141,9 @@ def prior_distance(model: WeakModel, p: Array) -> Array:
 
 def _values(model: WeakModel) -> Array:
     """Stated values of the free parameters; zero for a limit that is not there."""
-    return np.nan_to_num([model.functions.vehicle.value_of(plain(n)).value for n in model.free], posinf=0.0)
+    return np.nan_to_num(
+        [model.functions.vehicle.value_of(base_name(n)).value for n in model.free], posinf=0.0
+    )
 
 
 def prior_cost(prior: tuple[Array, Array], values: Array) -> float:
@@ -166,7 +168,7 @@ def step_limits(model: WeakModel) -> Array:
     Where the data hardly depend on one, the linearised problem would send it to its bound.
     """
     vehicle = model.functions.vehicle
-    return np.array([_step_limit(vehicle.declaration(plain(n))) for n in model.free])
+    return np.array([_step_limit(vehicle.declaration(base_name(n))) for n in model.free])
 
 
 def _step_limit(parameter: Parameter) -> float:
