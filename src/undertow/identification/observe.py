@@ -83,7 +83,7 @@ class Observed:
     @property
     def lost(self) -> dict[str, int]:
         """Reports beyond the gate of channels of which it rejects many."""
-        return _lost(self.nis, self.rejected)
+        return _often_rejected(self.nis, self.rejected)
 
     def content(self) -> dict[str, object]:
         """The numbers, for JSON."""
@@ -148,7 +148,7 @@ class ObservedLogs:
     @property
     def lost(self) -> dict[str, int]:
         """Reports beyond the gate of channels of which it rejects many."""
-        return _lost(self.nis, self.rejected)
+        return _often_rejected(self.nis, self.rejected)
 
     def content(self) -> dict[str, object]:
         """The numbers, for JSON: those of the log where it is one, else by log and over all."""
@@ -169,7 +169,7 @@ def _root_mean_squares(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {n: float(np.sqrt(np.mean([one[n] ** 2 for one in each if n in one]))) for n in names}
 
 
-def _lost(nis: Sequence[Normalised], rejected: Mapping[str, int]) -> dict[str, int]:
+def _often_rejected(nis: Sequence[Normalised], rejected: Mapping[str, int]) -> dict[str, int]:
     used = {one.name: one.count for one in nis}
     return {n: k for n, k in rejected.items() if k > SETTINGS.lost * (k + used.get(n, 0))}
 

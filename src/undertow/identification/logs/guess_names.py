@@ -153,8 +153,8 @@ def _with_dots(words: Sequence[str]) -> list[str]:
 _RUN_TOGETHER = "(gyro?|omega|vel|pos)([xyz])|(roll|pitch|yaw)(speed|rate)|(ground)(speed)"
 
 
-def _apart(words: Sequence[str]) -> list[str]:
-    """The words, those of two taken apart: "gyroz" as "gyro", "z", and "yawspeed" of MAVLink."""
+def _split_compounds(words: Sequence[str]) -> list[str]:
+    """The words, with compounds split: "gyroz" into "gyro", "z", and "yawspeed" of MAVLink."""
     found = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
     return [part for w, m in found for part in (filter(None, m.groups()) if m else (w,))]
 
@@ -180,7 +180,7 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
-        words = _with_dots(_apart(words))
+        words = _with_dots(_split_compounds(words))
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]) or _OTHERS.get(bracket[1].lower(), ""))
         for length in (2, 1):
@@ -471,7 +471,7 @@ def position_axes(mapping: LogMapping) -> str:
 
     They do if both names have the word, or if one has that for north and the other that for east.
     """
-    x, y = (_words(mapping, channel) for channel in "xy")
+    x, y = (_words_in_columns(mapping, channel) for channel in "xy")
     for axes in ("NED", "ENU"):
         if axes.lower() in x & y:
             return axes
@@ -480,7 +480,7 @@ def position_axes(mapping: LogMapping) -> str:
     return "ENU" if x & _EAST and y & _NORTH else ""
 
 
-def _words(mapping: LogMapping, channel: str) -> set[str]:
+def _words_in_columns(mapping: LogMapping, channel: str) -> set[str]:
     """Words in the names of the columns that become a channel of the log."""
     computed = mapping.channels.get(channel)
     names = computed.formula.columns if computed else ()

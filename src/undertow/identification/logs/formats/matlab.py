@@ -49,7 +49,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         warnings.simplefilter("ignore")  # what it cannot read is told below
         raw = matio.load_from_mat(str(path), spmatrix=False)
     objects: list[str] = []
-    content = {n: _plain(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
+    content = {n: _to_python(value, n, objects) for n, value in raw.items() if not n.startswith("__")}
     notes = _on_objects(objects)
     untimed: list[str] = []
     found = list(_series(_WORKSPACE, content, {}, untimed))
@@ -87,7 +87,7 @@ def _on_untimed(names: Sequence[str]) -> list[str]:
 
 
 # --- from the file to names and arrays ------------------------------------------------------------
-def _plain(value: Any, name: str, objects: list[str]) -> Any:
+def _to_python(value: Any, name: str, objects: list[str]) -> Any:
     """Structs and tables as dictionaries, cells as lists, vectors flat; objects are `objects` by name."""
     if hasattr(value, "columns"):
         return _members(value)
@@ -101,11 +101,11 @@ def _plain(value: Any, name: str, objects: list[str]) -> Any:
     if value.dtype.names:
         fields = value.dtype.names
         found = [
-            {f: _plain(e, f"{label.format(k)}.{f}", objects) for f, e in zip(fields, one, strict=True)}
+            {f: _to_python(e, f"{label.format(k)}.{f}", objects) for f, e in zip(fields, one, strict=True)}
             for k, one in enumerate(cells, 1)
         ]
     elif value.dtype.kind == "O":
-        found = [_plain(one, label.format(k), objects) for k, one in enumerate(cells, 1)]
+        found = [_to_python(one, label.format(k), objects) for k, one in enumerate(cells, 1)]
     else:
         return np.squeeze(value)
     return found[0] if len(found) == 1 else found
@@ -131,22 +131,22 @@ def _of_timeseries(parts: Mapping[str, Any]) -> dict[str, Any]:
     clock = parts["TimeInfo"].properties
     t = np.ravel(clock["Time_"])
     if not t.size:
-        t = _one(clock["Start_"], 0.0) + _one(clock["Increment_"], 1.0) * np.arange(
-            _one(clock["Length"], 0.0)
+        t = _first(clock["Start_"], 0.0) + _first(clock["Increment_"], 1.0) * np.arange(
+            _first(clock["Length"], 0.0)
         )
-    unit = unit_of_clock(f"time ({_one(clock['Units'], 'seconds')})") or "s"
+    unit = unit_of_clock(f"time ({_first(clock['Units'], 'seconds')})") or "s"
     data = np.asarray(parts["Data_"])
-    data = data if _one(parts["IsTimeFirst_"], True) else np.moveaxis(data, -1, 0)
+    data = data if _first(parts["IsTimeFirst_"], True) else np.moveaxis(data, -1, 0)
     flat = data.reshape(len(data), -1)
     cells = parts["DataInfo"].properties.get("UserData", np.zeros(0))
-    names = [str(_one(cell, "")) for cell in cells.ravel()] if cells.dtype.kind == "O" else []
+    names = [str(_first(cell, "")) for cell in cells.ravel()] if cells.dtype.kind == "O" else []
     named = (
         dict(zip(names, flat.T, strict=True)) if len(names) == flat.shape[1] else {"data": np.squeeze(flat)}
     )
     return {"time (s)": SECONDS[unit] * t, **named}
 
 
-def _one(value: Any, otherwise: Any) -> Any:
+def _first(value: Any, otherwise: Any) -> Any:
     """The first element of an array, if there is one."""
     cells = np.ravel(value)
     return cells[0] if cells.size else otherwise
