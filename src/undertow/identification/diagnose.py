@@ -361,7 +361,7 @@ class Experiment:
     """Logs in which the same motions are free."""
 
     vehicle: Vehicle  # the vehicle with these motions only
-    moved: tuple[str, ...]  # channels of motions that the rig moves as the log says
+    moved: tuple[str, ...]  # channels of motions that the rig moves as logged
     held: tuple[str, ...]  # motions of the whole vehicle that are at rest
     pushed: bool  # whether the rig drives what is free; else the vehicle's own actuators do
     # train, test: logs to fit to and to judge by

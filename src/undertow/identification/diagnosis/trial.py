@@ -87,8 +87,8 @@ def try_candidate(
     fit = bench.fit(candidate.model_from(start), start=start, tolerance=tolerance)
     if not np.isfinite(fit.cost):
         return rejected(candidate, bench)
-    # If a candidate explains much, the noise model of the incomplete model is too coarse to tell how well
-    # its parameters are known.
+    # If a candidate explains much, the noise model of the incomplete model is too coarse for the standard
+    # errors of its parameters.
     if fit.cost < settings.finer_noise_share * len(fit.at.r):
         fit = with_reestimated_noise(fit, most=1)
     fit = _by_run_if_significant(candidate, fit, bench, tolerance)

@@ -70,14 +70,14 @@ class DynamicsSettings:
     pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
     pwm_travel: float = 400.0  # its travel to either side
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
-    fitted: int = 4  # mistakes that are fitted to the end after a first look at all of them
+    fitted: int = 4  # mistakes that are fitted until convergence after a screening of all
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
     least_predicted_fall: float = 1.1  # predicted reduction from which a mistake is fitted
     as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
     changes: float = 1e-9  # change of a sample that is none
     # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
     unreadable: float = 0.5
-    lightest: float = 0.6  # another mass is believed from this factor of the one in the file
+    lightest: float = 0.6  # another mass is accepted from this factor of the one in the file
     heaviest: float = 2.5  # and up to this one
     least: float = 0.1  # and only where it differs by this share
     certain: float = 3.0  # standard errors by which another mass must differ
@@ -498,7 +498,7 @@ def consistent_with_kinematics(
 
 
 def _distinguishable(at: Dynamics, known: Sequence[Mistake]) -> list[Mistake]:
-    """Mistakes in commands, less those that logs do not tell from others, or from none."""
+    """Mistakes in commands, without those that logs cannot distinguish from others, or from none."""
     runs = at.runs
     seen, result = [np.hstack([_signature(at, run) for run in runs])], list[Mistake]()
     for mistake in known:
@@ -526,7 +526,7 @@ _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 
 
 def other_mass(at: Dynamics) -> Finding | None:
-    """A stated mass that contradicts the logs; None if it does not, or they cannot tell.
+    """A stated mass that contradicts the logs; None if it does not, or they are not decisive.
 
     With free added masses without stated spread nothing can be concluded: they compensate for any mass. Nor
     if another value of a fixed added mass explains as much.

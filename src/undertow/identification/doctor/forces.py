@@ -242,7 +242,7 @@ class Responses:
         return [r for row in rows if self._inertia_is_known(row) for r in self._row(table, row)]
 
     def _inertia_is_known(self, row: int) -> bool:
-        """Whether the vehicle file knows the inertia: what is to be estimated is no evidence."""
+        """Whether the vehicle file states the inertia: a value to be estimated is no evidence."""
         name = _INERTIA[self.vehicle.dof_indices[row]]
         return name in self.vehicle.values and not self.vehicle.values[name].estimate
 

@@ -49,7 +49,7 @@ class Mistake:
     undo: Undo  # takes a run with the mistake and returns it as it would be without
     # Takes the mapping that the log was read by and returns what to change in it.
     edits: Callable[[LogMapping], Edits]
-    # How many single things would have had to go wrong: of two explanations the simpler one is believed.
+    # Number of single mistakes in it: of two explanations the simpler one is preferred.
     count: int = 1
     vehicle: str = ""  # what to change in the vehicle file to the same end; empty where nothing there can
     combined: tuple[Mistake, ...] = ()  # the two that it is made of, if it is
@@ -60,7 +60,7 @@ class Explanation:
     """A mistake that explains what is wrong with logs."""
 
     mistake: Mistake
-    text: str  # the mistake and why it is believed, in one line
+    text: str  # the mistake and the evidence for it, in one line
     evidence: dict[str, float]
     rivals: list[Mistake] = field(default_factory=list)  # others that explain it as well
 
@@ -133,7 +133,7 @@ class PlausibilitySettings:
     """
 
     # Share of the motion (mean square) by which pose rates and velocities disagree, if one usual mistake
-    # explains it. Misaligned sensors reach 0.12, a current that is as fast as the vehicle is told apart.
+    # explains it. Misaligned sensors reach 0.12, a current as fast as the vehicle is recognised as one.
     contradiction: float = 0.3
     # The same where a unit explains it: a factor is no matter of frames or angles. Knots make 0.19, the
     # largest scale error of a sensor (see `scale`) 0.09.

@@ -53,7 +53,7 @@ class SensorSettings:
     negligible: float = 3e-3  # excess that is none beside it
     gross: float = 0.3  # mismatch from which pairs of mistakes are looked for: hardly anything in common
     few_samples: int = 800  # samples in which they are looked for
-    certain: float = 6.0  # standard errors from which a parameter of a sensor is believed
+    certain: float = 6.0  # standard errors from which a parameter of a sensor is accepted
     explains: float = 0.5  # share of the mismatch that it may leave
     reported: float = 5e-4  # mismatch below which it is not reported
     least_water: float = 2e-3  # the same for the velocity of the water
@@ -76,7 +76,7 @@ class Sensor:
     names: tuple[str, ...]  # its parameters, with units
     # From samples to the change of J(eta) nu that each parameter makes, (n, 6, k).
     columns: Callable[[Samples, Segment], Array]
-    largest: float = np.inf  # parameters beyond this are not believed
+    largest: float = np.inf  # parameters beyond this are rejected
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -400,7 +400,7 @@ def _shows_unit(
     whole: Mistake,
     change: tuple[Mismatch, Mismatch],
 ) -> bool:
-    """Whether a mismatch that goes away with a mistake, or with both of a pair, tells of another unit.
+    """Whether a mismatch that a mistake, or both of a pair, removes is evidence of another unit.
 
     A small reduction does not, if a sensor error may be as large. Nor does one also achieved with the
     channels set to zero: in their own unit they agree with the rest.
@@ -591,7 +591,7 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
 
 # --- agreement --------------------------------------------------------------------------------
 def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Scale and offset of every velocity against the rate of the pose, in numbers, where they can be told."""
+    """Scale and offset of every velocity against the rate of the pose, where they can be estimated."""
     names = [n for n in VELOCITY if n in kinematics.channels and _has_pose_rate(kinematics, n)]
     fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
     size = len(names)

@@ -40,9 +40,9 @@ class SignSettings:
     # Share of it that positive gains must leave beyond free ones to count: thrusters that are weaker astern
     # and the like do less.
     least_cost: float = 0.05
-    # Gain beyond which, either way, it is no sign of a command that is read wrongly: the stated force is too
-    # small to tell from what the model lacks. Units are found by themselves (degrees make 57); good models
-    # have shown 0.08 and 3.
+    # Gain beyond which, either way, it is no evidence of a command that is read wrongly: the stated force is
+    # too small to distinguish from missing effects. Units are found by themselves (degrees make 57); good
+    # models have shown 0.08 and 3.
     strongest: float = 10.0
     # Standard errors by which logs must contradict a reading: what a model lacks makes a few of them.
     certain: float = 10.0
@@ -192,7 +192,7 @@ class Signs:
         return _remaining(tested, whole)
 
     def _agrees_better(self, other: SignEvidence, certain: float | None = None) -> bool:
-        """Whether logs contradict another reading less, certainly and in nearly all runs that tell."""
+        """Whether logs contradict another reading less, certainly and in nearly all runs with evidence."""
         gained = self.given.contradiction - other.contradiction
         clear = np.abs(gained) > SETTINGS.shows**2
         agree = np.sum(gained[clear] > 0) >= SETTINGS.agreeing * np.sum(clear)

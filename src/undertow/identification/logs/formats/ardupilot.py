@@ -33,7 +33,7 @@ class AutopilotSettings:
     # Largest distance of a trim from `rest`, microseconds, that a thruster can have: others are of lights and
     # grippers, which rest at one end.
     trim: float = 100.0
-    # The last bit of `solution status` with which an estimator says that it holds its place for want of aid.
+    # The last bit of `solution status` with which an estimator holds its position for lack of aiding.
     held: int = 1 << 7
 
 
@@ -138,7 +138,7 @@ def vehicle_text(log: FieldLog, name: str) -> str:
         table["curve"] = curve
         table["source"] = f"{table['source']}; {why}"
     text = tomlkit.dumps(document)
-    # What the bundled file says of its places is not true of others.
+    # Comments of the bundled file on the positions are not true of other frames.
     return text if frame.bundled else re.sub(r"(?m)(^#.*\n)+(?=\[\[thrusters\]\])", "", text, count=1)
 
 
@@ -215,7 +215,7 @@ class Frame:
     name: str
     base: str  # bundled vehicle whose hull is taken
     motors: tuple[Factors, ...]
-    bundled: bool = False  # whether that vehicle has the frame itself, so that it knows the places
+    bundled: bool = False  # whether that vehicle has this frame, and so its positions
 
 
 def _frames() -> dict[int, Frame]:

@@ -465,7 +465,7 @@ class _Navigation:
 
     def _trim(self) -> Rotation:
         """From the axes of the autopilot to those of the vehicle (AHRS_TRIM)."""
-        from scipy.spatial.transform import Rotation  # slow to import, and every log is asked for its format
+        from scipy.spatial.transform import Rotation  # slow to import, and every log is tested for its format
 
         angles = [self._parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "ZYX"]
         return Rotation.from_euler("ZYX", [a if isinstance(a, float) else 0.0 for a in angles])

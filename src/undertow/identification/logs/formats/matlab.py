@@ -46,7 +46,7 @@ SETTINGS = MatlabSettings()
 def _read(path: Path, messages: Path | None) -> FieldLog:
     matio = library("matio", "a file of MATLAB")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what it cannot read is told below
+        warnings.simplefilter("ignore")  # what it cannot read is reported below
         raw = matio.load_from_mat(str(path), spmatrix=False)
     objects: list[str] = []
     content = {n: _to_python(value, n, objects) for n, value in raw.items() if not n.startswith("__")}

@@ -63,7 +63,7 @@ _DRIVES = re.compile(r"thrust|motor|actuator|pwm|rc_?out|propeller|servo|(?:^|[/
 _ASKED = re.compile(r"input|cmd|command|control|pwm|rpm|setpoint", re.IGNORECASE)
 _LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[\d+\]")
 _SINGLE = ("data", "value")
-_CONTROL = {"input", "cmd", "command", "control", "controller", "trajectory", "path"}  # of what is asked for
+_CONTROL = {"input", "cmd", "command", "control", "controller", "trajectory", "path"}  # words for set-points
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def _frames(data: bytes, mavlink: ModuleType, checksum: Checksum) -> tuple[list[
             place, lost = frame.end, False
             continue
         known = frame is not None and frame.number in mavlink.mavlink_map
-        if frame and not lost and _begins(data, frame.end):  # whole, but not to be believed or understood
+        if frame and not lost and _begins(data, frame.end):  # complete, but damaged or unknown
             tally.broken, tally.unknown = tally.broken + known, tally.unknown + (not known)
             place = frame.end
             continue
