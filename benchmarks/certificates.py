@@ -26,9 +26,9 @@ from benchmarks.attacks import Attack, Target, target_of
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.conditions.channels import coupled, linear_channels
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import Problem, Uncertainty
 from undertow.control.conditions.result import Report
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, allocation_of, load_gains
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -296,7 +296,7 @@ def _level(gains: GainSet, state: Array) -> float:
     """V of a state: pose as the error from a set-point at zero."""
     plant, n = gains.plant, len(gains.plant.nu)
     way = {v: 1 if state[n + list(plant.nu).index(v)] > 0 else -1 for v in plant.reversing}
-    M = np.array(plant.one_way(plant.M, way).xreplace(plant.numbers).tolist(), dtype=float)
+    M = np.array(plant.with_signs(plant.M, way).xreplace(plant.numbers).tolist(), dtype=float)
     K_P = np.array([gains.values[f"K_P_{c}"] for c in plant.vehicle.pose_names])
     error, nu = -state[:n], state[n:]
     return float(0.5 * nu @ M @ nu + 0.5 * error @ (K_P * error))
@@ -449,7 +449,7 @@ def _judged(
     report = certify(gains, forms=["derived"], start=box, uncertain=over)
     seconds = time.process_time() - begun
     reached = 0.0
-    if report.ok and report.region.found:
+    if report.ok and report.region.by_search:
         target = target_of(gains, report, min(lasts, ATTACKED), lasts <= ATTACKED, Attack())
         reached = target.worst(rng) if target else 0.0
     return _said(report), reached, seconds

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from undertow.control.closed_loop import Choices, Record, Scenario
+from undertow.control.closed_loop import Overrides, Record, Scenario
 from undertow.control.guidance.mission import load_mission
 from undertow.figures import COLOURS, INK, figure, look, save_png
 from undertow.model.loading import load_vehicle
@@ -31,8 +31,8 @@ def run(name: str) -> Record:
     if integral is not None:
         mission = replace(mission, guidance=replace(mission.guidance, integral=integral))
     vehicle = load_vehicle(name.split("-")[0])
-    loop = Choices().loop(FILES / gains, vehicle, mission=mission)
-    return loop.run(Scenario(duration=mission.lasts(vehicle.pose_names), dt=dt, moving=moving))
+    loop = Overrides().loop(FILES / gains, vehicle, mission=mission)
+    return loop.run(Scenario(duration=mission.simulation_time(vehicle.pose_names), dt=dt, moving=moving))
 
 
 def tracks(records: dict[str, Record], title: str) -> Figure:
@@ -45,7 +45,7 @@ def tracks(records: dict[str, Record], title: str) -> Figure:
             own = _until(record)
             if not i:
                 axis.plot(
-                    record.followed.way[:, 0], record.followed.way[:, 1], ":", color=INK, label="mission"
+                    record.followed.path[:, 0], record.followed.path[:, 1], ":", color=INK, label="mission"
                 )
             axis.plot(record.state["x"][own], record.state["y"][own], label=label, color=COLOURS[i])
             if record.estimated:

@@ -176,7 +176,7 @@ def _posed(scenario: Scenario, names: tuple[str, ...]) -> None:
 @settings(max_examples=100)
 @given(order=st.sampled_from([None, "together", "yaw-first"]), gate=OPTIONAL, current=OPTIONAL)
 def test_any_schedule_is_read_or_refused_in_one_line(order, gate, current) -> None:
-    _one_line(lambda: ScheduleOptions(order=order, gate=gate, current=current).choices())
+    _one_line(lambda: ScheduleOptions(order=order, gate=gate, current=current).overrides())
 
 
 def _one_line(read: Callable[[], Any]) -> None:

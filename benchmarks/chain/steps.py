@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from undertow.control.closed_loop import Choices, Record, Scenario
+from undertow.control.closed_loop import Overrides, Record, Scenario
 from undertow.control.guidance.mission import load_mission
 from undertow.model.loading import load_vehicle
 
@@ -85,10 +85,10 @@ class Chain(Shell):
         """The run of `follow` with everything that pictures need."""
         files = {name: self.folder / f"{name}.toml" for name in ("rov", "truth", "tuned", "observer")}
         mission, model = load_mission(self.folder / MISSION), load_vehicle(files["rov"])
-        loop = Choices().loop(
+        loop = Overrides().loop(
             files["tuned"], model, load_vehicle(files["truth"]), mission=mission, observer=files["observer"]
         )
-        return loop.run(Scenario(duration=mission.lasts(model.pose_names), dt=0.1))
+        return loop.run(Scenario(duration=mission.simulation_time(model.pose_names), dt=0.1))
 
 
 def without_drag(text: str) -> str:

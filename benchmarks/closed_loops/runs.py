@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from undertow.control.closed_loop import Choices, ClosedLoop, LoopResult, Record, Scenario, without
+from undertow.control.closed_loop import ClosedLoop, LoopResult, Overrides, Record, Scenario, without_effects
 from undertow.control.gains import GainTable, load_gains
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
@@ -23,13 +23,13 @@ GOAL = (-1.0, 1.0, 1.0)
 # The paper's equations have two sets of parameters and no value in between at rest: the forward one is taken.
 CREEPING = {"u": 1e-12, "w": 1e-12}
 RUN = Scenario(GOAL, moving=CREEPING)
-AS_FILED = Choices()
+AS_FILED = Overrides()
 _SPREAD = ("X_udot", "X_u", "X_uabsu", "Z_wdot", "Z_w")
 
 
 def model_9() -> Vehicle:
     """The bundled vehicle as (9) of the paper: without Coriolis terms."""
-    return without(load_vehicle("mini-auv"), CORIOLIS)
+    return without_effects(load_vehicle("mini-auv"), CORIOLIS)
 
 
 def paper_run() -> list[Record]:
@@ -70,8 +70,8 @@ class Reading:
     ----------
     words : str
         What is read otherwise.
-    choices : Choices
-        Choices of the command line.
+    overrides : Overrides
+        Overrides of the command line.
     vehicle : callable
         The vehicle for it.
     gains : callable, optional
@@ -81,7 +81,7 @@ class Reading:
     """
 
     words: str
-    choices: Choices = AS_FILED
+    overrides: Overrides = AS_FILED
     vehicle: Callable[[], Vehicle] = model_9
     gains: Callable[[GainTable], GainTable] | None = None
     scenario: Scenario = RUN
@@ -104,16 +104,16 @@ def _yaw_gain(table: GainTable) -> GainTable:
 
 READINGS = (
     Reading("as in the table above"),
-    Reading("heading by atan: -45°, backwards", Choices(heading="atan")),
+    Reading("heading by atan: -45°, backwards", Overrides(heading="atan")),
     Reading("K_P of the PID heading 0.1 instead of the printed 0.01", gains=_yaw_gain),
-    Reading("the same, heading by atan", Choices(heading="atan"), gains=_yaw_gain),
-    Reading("integrals begin at t = 0", Choices(integrators="start")),
-    Reading("gate of 5°", Choices(gate="5 deg")),
-    Reading("gate of 0.1°", Choices(gate="0.1 deg")),
-    Reading("no schedule: all at once", Choices(order="together")),
-    Reading("a sway force", Choices(sway="actuated")),
-    Reading("a sway force, all at once", Choices(sway="actuated", order="together")),
-    Reading("a sway force, heading by atan", Choices(sway="actuated", heading="atan")),
+    Reading("the same, heading by atan", Overrides(heading="atan"), gains=_yaw_gain),
+    Reading("integrals begin at t = 0", Overrides(integrators="start")),
+    Reading("gate of 5°", Overrides(gate="5 deg")),
+    Reading("gate of 0.1°", Overrides(gate="0.1 deg")),
+    Reading("no schedule: all at once", Overrides(order="together")),
+    Reading("a sway force", Overrides(sway="actuated")),
+    Reading("a sway force, all at once", Overrides(sway="actuated", order="together")),
+    Reading("a sway force, heading by atan", Overrides(sway="actuated", heading="atan")),
     Reading("with Coriolis terms", vehicle=lambda: load_vehicle("mini-auv")),
     Reading("forward parameters both ways", vehicle=lambda: _one_set("forward")),
     Reading("backward parameters both ways", vehicle=lambda: _one_set("backward")),
@@ -157,14 +157,14 @@ def read(report: Progress) -> list[Read]:
 
 
 def _results(reading: Reading) -> Iterator[LoopResult]:
-    vehicle = reading.choices.with_sway(reading.vehicle())
+    vehicle = reading.overrides.with_sway(reading.vehicle())
     for name in PAPER:
         gains = load_gains(name, vehicle, lambda t: _changed(t, reading))
         yield ClosedLoop(gains).run(reading.scenario).result
 
 
 def _changed(table: GainTable, reading: Reading) -> GainTable:
-    own = reading.choices.changed(table)
+    own = reading.overrides.applied_to(table)
     return reading.gains(own) if reading.gains else own
 
 

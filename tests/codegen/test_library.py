@@ -19,7 +19,7 @@ from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
 from undertow.codegen.library import Library, sizes, usual_compilers
-from undertow.control.controller import Controller, Sharing, thruster_commands
+from undertow.control.controller import Controller, SymbolicAllocation, thruster_commands
 from undertow.control.gains import load_gains
 from undertow.control.update import library_of
 from undertow.model.effect import Curve, Propeller
@@ -69,8 +69,7 @@ def _pointer(a: np.ndarray) -> ctypes.c_void_p:
 
 
 @pytest.mark.parametrize(
-    ("compiler", "flags"),
-    first_quick([("gcc", ()), ("gcc", (SINGLE,)), ("clang", ()), ("clang", (SINGLE,))]),
+    ("compiler", "flags"), first_quick([("gcc", ()), ("gcc", (SINGLE,)), ("clang", ()), ("clang", (SINGLE,))])
 )
 def test_compilers_have_nothing_to_say_and_the_examples_run(
     compiler: str, flags: tuple[str, ...], tmp_path: Path
@@ -147,12 +146,12 @@ def test_allocation_is_that_of_python_and_of_the_struct(tmp_path: Path) -> None:
     """Also with another matrix and another limit, as on a vehicle with its thrusters moved."""
     built, vehicle = _built(_auv(), tmp_path), load_vehicle("mini-auv")
     gains = load_gains("paper-pid", vehicle)
-    names = Controller(gains).numbered().values
+    names = Controller(gains).parametrised().values
     limits = gains.allocation.model_copy(update={"limits": {"f2": "3 N"}})
     controller = Controller(replace(gains, allocation=limits))
-    values = controller.numbered().values
+    values = controller.parametrised().values
     assert set(values) - set(names) == {"limit_f2"}
-    own = Sharing.with_names(controller.allocation, controller.command_names, ["X", "Z", "N"])
+    own = SymbolicAllocation.with_names(controller.allocation, controller.command_names, ["X", "Z", "N"])
     assert len(own.numbers()) == sum(k.startswith(("tau_", "weight_", "limit_")) for k in values)
     for arm, limit in ((1.0, 3.0), (1.3, 2.0)):
         changed = {k: v * arm if k.startswith("tau_N") else v for k, v in values.items()} | {
@@ -166,7 +165,7 @@ def test_allocation_is_that_of_python_and_of_the_struct(tmp_path: Path) -> None:
         for tau in ([3.0, 0.0, -2.0, 0.5], [9.0, 0.0, 1.0, -0.8]):
             found, wanted = np.zeros(4), _array(tau)
             built.mini_auv_paper_pid_allocate(_pointer(wanted), _pointer(p), _pointer(found))
-            exact = thruster_commands(Sharing.of(stated), ca.SX(wanted))
+            exact = thruster_commands(SymbolicAllocation.of(stated), ca.SX(wanted))
             np.testing.assert_allclose(found, np.array(ca.DM(exact)).ravel(), rtol=1e-12, atol=1e-12)
     assert abs(found[1]) == pytest.approx(2.0)  # at its limit
 

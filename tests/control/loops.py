@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario, without
+from undertow.control.closed_loop import ClosedLoop, Overrides, Record, Scenario, without_effects
 from undertow.control.gains import GainTable, gains_from_table
 from undertow.model.loading import load_vehicle
 
 WITH_CORIOLIS = load_vehicle("mini-auv")
-AUV = without(WITH_CORIOLIS, ["rigid_body_coriolis", "added_mass_coriolis"])  # model (9) of the paper
+AUV = without_effects(WITH_CORIOLIS, ["rigid_body_coriolis", "added_mass_coriolis"])  # model (9) of the paper
 GOAL = (-1.0, 1.0, 1.0)
 # At exactly zero velocity the mean of the forward and the backward set holds; this is the forward one.
 CREEPING = {"u": 1e-12, "w": 1e-12}
-_LOOPS: dict[tuple[str, Choices], ClosedLoop] = {}
+_LOOPS: dict[tuple[str, Overrides], ClosedLoop] = {}
 
 
-AS_FILED = Choices()
+AS_FILED = Overrides()
 
 
-def loop(gains: str, choices: Choices = AS_FILED) -> ClosedLoop:
-    if (gains, choices) not in _LOOPS:
-        _LOOPS[gains, choices] = choices.loop(gains, AUV)
-    return _LOOPS[gains, choices]
+def loop(gains: str, overrides: Overrides = AS_FILED) -> ClosedLoop:
+    if (gains, overrides) not in _LOOPS:
+        _LOOPS[gains, overrides] = overrides.loop(gains, AUV)
+    return _LOOPS[gains, overrides]
 
 
-def run(gains: str, choices: Choices = AS_FILED, **scenario: object) -> Record:
-    return loop(gains, choices).run(Scenario(**({"to": GOAL} | scenario)))  # type: ignore[arg-type]
+def run(gains: str, overrides: Overrides = AS_FILED, **scenario: object) -> Record:
+    return loop(gains, overrides).run(Scenario(**({"to": GOAL} | scenario)))  # type: ignore[arg-type]
 
 
 def law_of(name: str, **gains: float) -> ClosedLoop:

@@ -14,10 +14,10 @@ import sympy as sm
 from tests.quick import first_quick
 from undertow import UndertowError, check_gains
 from undertow.control.conditions import attitude
-from undertow.control.conditions.attitude import BOUNDS, Attitudes, Interval, least, least_eigenvalue
+from undertow.control.conditions.attitude import BOUNDS, Attitudes, Interval, least_eigenvalue, margin_bound
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import ALL, SAMPLED, Problem, Uncertainty
 from undertow.control.conditions.result import HOLDS, UNPROVED
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.plant import Plant
 from undertow.model.loading import load_vehicle
@@ -76,14 +76,14 @@ def test_rounding_stays_within_intervals(size: float) -> None:
     a, b = RNG.normal(size=(2, 6, 6)) * np.array([size, 1.0])[:, None, None]
     exact = [[Fraction(v) for v in row] for row in a], [[Fraction(v) for v in row] for row in b]
     A, B = (Interval(m, m) for m in (a, b))
-    turned = [
+    yaw_invariant = [
         [sum(x * y for x, y in zip(row, c, strict=True)) for c in zip(*exact[1], strict=True)]
         for row in exact[0]
     ]
     each = {
         "+": (A + B, [[x + y for x, y in zip(*rows, strict=True)] for rows in zip(*exact, strict=True)]),
         "*": (A * B, [[x * y for x, y in zip(*rows, strict=True)] for rows in zip(*exact, strict=True)]),
-        "@": (A @ B, turned),
+        "@": (A @ B, yaw_invariant),
     }
     for found, values in each.values():
         for k in np.ndindex(6, 6):
@@ -108,14 +108,14 @@ def test_least_eigenvalue_of_intervals_is_below_that_of_every_matrix_within() ->
 def test_a_level_vehicle_needs_no_sampling_of_headings() -> None:
     problem = Problem(load_gains("paper-pid", load_vehicle("mini-auv")))
     assert problem.attitudes.orthogonal
-    assert problem.attitudes.heading_turns_out
+    assert problem.attitudes.heading_factors_out
     psi = sm.Symbol("psi", real=True)
-    M_q = problem.plant.one_way(problem.plant.M_q, dict.fromkeys(problem.plant.reversing, 1))
+    M_q = problem.plant.with_signs(problem.plant.M_q, dict.fromkeys(problem.plant.reversing, 1))
     filled = M_q.xreplace(problem.plant.numbers)
     of_M = np.linalg.eigvalsh(problem.sets[0].inertia)
     for heading in np.linspace(-3, 3, 7):
-        turned = np.array(filled.xreplace({psi: sm.Float(heading)}).tolist(), dtype=float)
-        np.testing.assert_allclose(np.linalg.eigvalsh(turned), of_M, rtol=1e-12)
+        yaw_invariant = np.array(filled.xreplace({psi: sm.Float(heading)}).tolist(), dtype=float)
+        np.testing.assert_allclose(np.linalg.eigvalsh(yaw_invariant), of_M, rtol=1e-12)
 
 
 SURGE_HEAVE_PITCH = """
@@ -146,28 +146,28 @@ def test_pitch_counts_where_gains_tell_depth_from_the_level_though_j_is_a_rotati
     found = problem.certificate(damper, problem.sets[0], None)
     turn = np.array([[0.5, np.sqrt(0.75)], [-np.sqrt(0.75), 0.5]])
     block = np.diag([10.0, 1.0]) + turn @ np.diag([1.0, 30.0]) @ turn.T
-    least = np.linalg.eigvalsh(block)[0]
-    assert 0.1 * least < found.bound <= found.found == pytest.approx(least, rel=1e-6)
+    margin_bound = np.linalg.eigvalsh(block)[0]
+    assert 0.1 * margin_bound < found.bound <= found.least_found == pytest.approx(margin_bound, rel=1e-6)
 
 
 def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
     """The bound is below 2000 random attitudes and the attitude shown is the worst of them."""
     attitudes = Attitudes(Plant(rov()), np.radians(60))
     assert not attitudes.orthogonal
-    assert attitudes.heading_turns_out
+    assert attitudes.heading_factors_out
     weight = np.diag([20.0, 25, 30, 0.3, 0.4, 0.5])
 
     def margin(inverse: np.ndarray | Interval) -> np.ndarray:
         turn = inverse.T if isinstance(inverse, Interval) else np.swapaxes(inverse, 1, 2)
         return least_eigenvalue(turn @ weight @ inverse)
 
-    found = least(margin, attitudes, turned=True)
-    assert 0 < found.bound <= found.found
-    assert found.bound > 0.9 * BOUNDS.share * found.found
+    found = margin_bound(margin, attitudes, yaw_invariant=True)
+    assert 0 < found.bound <= found.least_found
+    assert found.bound > 0.9 * BOUNDS.share * found.least_found
     drawn = RNG.uniform(-1, 1, (2000, 3)) * [np.pi / 3, np.pi / 3, np.pi]
     angles = dict(zip(("phi", "theta", "psi"), drawn.T, strict=True))
     values = margin(attitudes.inverse({a: Interval(v, v) for a, v in angles.items()}).middle)
-    assert min(values) >= found.found * (1 - 1e-9)
+    assert min(values) >= found.least_found * (1 - 1e-9)
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
@@ -202,7 +202,7 @@ def test_sampled_attitudes_settle_nothing_over_the_uncertainty(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_bound_that_is_not_settled_is_no_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, first_boxes=1, most_boxes=1))
+    monkeypatch.setattr(attitude, "BOUNDS", replace(attitude.BOUNDS, first_boxes=1, max_boxes=1))
     gains = rov_gains(tmp_path, "pd", 10.0)
     found = certify(gains, Uncertainty(rov()), forms=["derived"], tilt=np.radians(80))
     (row,) = [r for r in found.rows if r.condition == "K_V + D" and r.scope == "matrices"]
@@ -219,8 +219,8 @@ def test_an_attitude_at_which_a_condition_fails_is_shown(tmp_path: Path) -> None
     condition = next(c for c in problem.conditions if c.id == "K_V + D")
     assert problem.certificate(condition, problem.sets[0], None).bound > 0
     weak = {**problem.values, "K_V": np.array([60.0, 60, 60, -0.0685, 2, 2])}
-    found = problem.changed(weak).certificate(condition, problem.sets[0], None)
-    assert problem.changed(weak).margin(condition, problem.sets[0], None, 3) > 0
+    found = problem.with_gains(weak).certificate(condition, problem.sets[0], None)
+    assert problem.with_gains(weak).margin(condition, problem.sets[0], None, 3) > 0
     assert found.bound < 0
     assert abs(found.worst["theta"]) > np.arcsin(np.sqrt(0.0015 * 2.07) / 0.07) - 0.05
 
@@ -234,8 +234,8 @@ def test_a_proof_that_would_take_too_many_boxes_is_given_up_early() -> None:
         M = turn @ np.eye(6) @ inverse
         return least_eigenvalue(M - M + 1e-6 * np.eye(6))
 
-    found = least(margin, attitudes, turned=True)
-    assert found.bound < 0 < found.found
+    found = margin_bound(margin, attitudes, yaw_invariant=True)
+    assert found.bound < 0 < found.least_found
     boxes = int(found.proof.split("on ")[-1].split()[0])
     assert BOUNDS.first_boxes < boxes < 4 * BOUNDS.first_boxes
 
@@ -271,8 +271,8 @@ def test_a_condition_is_proved_in_all_sign_sets_at_once(backward: float, holds: 
     gains = replace(rov_gains(tmp_path, sideways=65.0), plant=Plant(replace(rov(), values=values)))
     problem = Problem(gains)
     condition = next(c for c in problem.conditions if c.id == "K_V + D")
-    assert len(problem.distinct) == 8
-    each = [problem.certificate(condition, one, None).bound > 0 for one in problem.distinct]
-    assert problem.proved(condition, problem.distinct, None) == all(each) == holds
-    mixed = problem.distinct[2:]  # the forward one is not among them
+    assert len(problem.relevant_sets) == 8
+    each = [problem.certificate(condition, one, None).bound > 0 for one in problem.relevant_sets]
+    assert problem.proved(condition, problem.relevant_sets, None) == all(each) == holds
+    mixed = problem.relevant_sets[2:]  # the forward one is not among them
     assert problem.proved(condition, mixed, None) == all(each[2:])

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from undertow.control.closed_loop import Choices, ClosedLoop, Scenario
+from undertow.control.closed_loop import ClosedLoop, Overrides, Scenario
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.tracking import check_mission
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, allocation_of, gains_from_table, load_gains
 from undertow.control.guidance.mission import MissionTable, mission_from_table
 from undertow.control.linear.family import family
@@ -185,7 +185,7 @@ def test_a_torpedo_steered_by_a_surface_keeps_its_leg_across_a_current(tmp_path:
     gains = steered(tmp_path, speed="1.5 m/s")
     mission = mission_from_table(MissionTable.model_validate(LEG))
     assert check_mission(gains, mission).ok
-    vehicle = Choices(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
+    vehicle = Overrides(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
     loop = ClosedLoop(gains, vehicle, mission=mission)
     record = loop.run(Scenario(duration=300.0, dt=0.05, start=(0.0, 10.0, 0.0), moving={"u": 1.5}))
     assert record.followed is not None

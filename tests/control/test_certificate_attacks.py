@@ -11,8 +11,8 @@ import pytest
 from benchmarks.attacks import Attack, BoxTarget, Target
 from benchmarks.certificates import Outcome, page_of
 from tests.control.test_certificates import law, loaded, sinker
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.result import Quadratic, Transient
-from undertow.control.conditions.whole import certify
 
 pytest.importorskip("clarabel")
 pytestmark = pytest.mark.docs

@@ -12,9 +12,9 @@ import pytest
 
 from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Scenario
+from undertow.control.conditions.full_loop import certify, full_loop
 from undertow.control.conditions.problem import Uncertainty
 from undertow.control.conditions.result import SETTINGS, Region, Report
-from undertow.control.conditions.whole import certify, whole_loop
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.linear.systems import close_loop
 from undertow.control.linear.trim import find_trim
@@ -237,7 +237,7 @@ def saturated() -> GainSet:
 def test_a_region_is_refuted_by_a_start_in_it_that_does_not_come_back(reach: float, verdict: str) -> None:
     """Whatever the search for a region comes to: half a metre does not come back, five centimetres do."""
     claimed = Region("level", "", 1.0, dict.fromkeys(("x", "y", "z", "psi"), reach))
-    whole = whole_loop(saturated(), claimed)
+    whole = full_loop(saturated(), claimed)
     assert whole.verdict == verdict
     assert ("does not come back" in whole.text) == (verdict == "unstable")
 

@@ -18,7 +18,7 @@ from tests.control.test_transient import loop as six
 from undertow.cli.main import main
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.check import check
-from undertow.control.conditions.commands import Slopes, inverses_of_inertia, shifts
+from undertow.control.conditions.commands import ParameterSlopes, inverses_of_inertia, shift_symbols
 from undertow.control.conditions.embedding import sign_cases
 from undertow.control.conditions.problem import Problem
 from undertow.control.conditions.result import Region
@@ -109,7 +109,7 @@ def test_inverses_of_inertia_hold_those_of_every_parameter_in_the_box() -> None:
     gains = law(loaded(HEAVE.replace("LIMIT", "").replace("I_z = 0.25", "I_z = 0.25\nx_g = 0.05")))
     plant, names = gains.plant, ("m", "mx_g", "I_z")
     spread = {s: (0.8 * float(v), 1.2 * float(v)) for s, v in plant.numbers.items() if str(s) in names}
-    problem = Problem(gains, spread=spread)
+    problem = Problem(gains, parameter_box=spread)
     found = inverses_of_inertia(problem, sign_cases([], 4))
     rng = np.random.default_rng(6)
     for _ in range(200):
@@ -120,21 +120,21 @@ def test_inverses_of_inertia_hold_those_of_every_parameter_in_the_box() -> None:
         linear = found.middle.middle[0] + sum(
             d * s.middle[0] for d, s in zip(shift, found.slopes, strict=True)
         )
-        assert np.all(np.abs(np.linalg.inv(M) - linear) <= found.rest[0] + 1e-12)
+        assert np.all(np.abs(np.linalg.inv(M) - linear) <= found.remainder[0] + 1e-12)
     # What is linear is most of it.
-    assert found.rest.max() < 0.5 * max(s.size.max() for s in found.slopes)
+    assert found.remainder.max() < 0.5 * max(s.magnitude.max() for s in found.slopes)
 
 
 def test_slopes_bound_parameters_that_multiply_each_other() -> None:
     """a b with a in (1, 3) and b in (4, 6) is 10 + 5 s + 2 t off by up to 1, proved to be off by up to 2."""
     a, b = sm.symbols("a b")
     spread = {a: (1.0, 3.0), b: (4.0, 6.0)}
-    s, t = shifts(spread)
-    found = Slopes([], sm.Matrix([[(2 + s) * (5 + t)]]), spread, np.zeros((1, 0)))
+    s, t = shift_symbols(spread)
+    found = ParameterSlopes([], sm.Matrix([[(2 + s) * (5 + t)]]), spread, np.zeros((1, 0)))
     assert found.value.middle[0, 0, 0] == pytest.approx(10)
-    assert [e.middle[0, 0, 0] for e in found.each] == pytest.approx([5, 2])
-    assert found.curved[0, 0, 0] == pytest.approx(2)
-    assert found.size[0, 0, 0] == pytest.approx(9)
+    assert [e.middle[0, 0, 0] for e in found.slopes] == pytest.approx([5, 2])
+    assert found.remainder[0, 0, 0] == pytest.approx(2)
+    assert found.magnitude[0, 0, 0] == pytest.approx(9)
 
 
 # --- what is refused --------------------------------------------------------------------------------

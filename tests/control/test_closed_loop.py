@@ -10,8 +10,8 @@ import pytest
 
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from tests.quick import first_quick
-from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
-from undertow.control.closed_loop.measures import CREDIBLE, divergence
+from undertow.control.closed_loop import ClosedLoop, Overrides, Push, Scenario
+from undertow.control.closed_loop.measures import PLAUSIBLE, divergence
 from undertow.control.closed_loop.parts import SampledLoop
 from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
@@ -65,12 +65,12 @@ def test_pd_by_its_linear_channels() -> None:
 
 def test_the_paper_s_other_arctangent() -> None:
     """(42) as printed: -45 degrees, backwards to the goal."""
-    result = run("paper-pd", Choices(heading="atan"), duration=60.0, continuous=True).result
+    result = run("paper-pd", Overrides(heading="atan"), duration=60.0, continuous=True).result
     assert result.to["psi"] == pytest.approx(-math.pi / 4)
     # The gate is seen at the first sample behind it.
     assert 0 <= result.gate_passed - 17.899241 < 1e-3
     assert run("paper-pd", duration=60.0).result.gate_passed == pytest.approx(22.877, abs=1e-9)
-    sliding = run("paper-smc", Choices(heading="atan"), dt=2e-5, duration=27.0).result
+    sliding = run("paper-smc", Overrides(heading="atan"), dt=2e-5, duration=27.0).result
     assert sliding.gate_passed == pytest.approx(25.437, abs=0.05)
 
 
@@ -100,7 +100,7 @@ def test_the_paper_s_pid_ends_in_a_limit_cycle() -> None:
 
 
 def test_integrals_that_start_at_once_overshoot_more() -> None:
-    result = run("paper-pid", Choices(integrators="start"), duration=240.0).result
+    result = run("paper-pid", Overrides(integrators="start"), duration=240.0).result
     assert max(result.of(n).overshoot for n in ("x", "along track")) == pytest.approx(266, abs=5)
 
 
@@ -108,9 +108,9 @@ def test_integrals_that_start_at_once_overshoot_more() -> None:
 @pytest.mark.slow
 def test_sliding_mode_nears_its_exact_solution_as_it_is_sampled_faster() -> None:
     """Reaching in |S| / K_Z = 14 s, then exponential; what the sampled sign leaves is within its bound."""
-    choices = Choices(order="together", sway="actuated")
+    overrides = Overrides(order="together", sway="actuated")
     for dt in (1e-3, 1e-4, 4e-5):
-        found = run("paper-smc", choices, duration=70.0 if dt > 1e-4 else 28.0, dt=dt, moving=CREEPING)
+        found = run("paper-smc", overrides, duration=70.0 if dt > 1e-4 else 28.0, dt=dt, moving=CREEPING)
         assert found.result.of("x").settling == pytest.approx(16.327979, abs=0.011 * dt / 1e-3 + 5e-4)
         if dt == 1e-3:
             x = found.result.of("x")
@@ -128,8 +128,8 @@ def test_sliding_mode_nears_its_exact_solution_as_it_is_sampled_faster() -> None
 
 
 def test_reaching_time() -> None:
-    choices = Choices(order="together", sway="actuated")
-    record = run("paper-smc", choices, duration=16.0, dt=1e-4, log_interval=0.01, moving=CREEPING)
+    overrides = Overrides(order="together", sway="actuated")
+    record = run("paper-smc", overrides, duration=16.0, dt=1e-4, log_interval=0.01, moving=CREEPING)
     surface = 0.7 * record.errors["x"] - np.gradient(record.state["x"], record.t)
     assert float(record.t[np.flatnonzero(np.abs(surface) > 2e-3)[-1]]) == pytest.approx(14.0, abs=0.06)
 
@@ -164,7 +164,7 @@ def test_without_a_compiler_the_numbers_are_the_same(gains: str, continuous: boo
     )
     law = load_gains(gains, WITH_CORIOLIS, lambda t: t.model_copy(update={"schedule": ScheduleTable()}))
     scenario = replace(disturbed, pushes=(Push("Z", 1.0, 1.0, 2.0),), log_interval=0.01, moving=CREEPING)
-    vehicle = Choices(current=(0.1, -0.05)).in_current(WITH_CORIOLIS)
+    vehicle = Overrides(current=(0.1, -0.05)).in_current(WITH_CORIOLIS)
     vehicle = vehicle.with_effect(catalogue()["thruster_lag"], {"T_lag": Value(0.2)})
     late = {"delay": Value(0.05)}
     vehicle = vehicle.with_effect(catalogue()["actuation_delay"], late) if not continuous else vehicle
@@ -211,7 +211,7 @@ def test_a_push_displaces_by_force_over_stiffness() -> None:
 
 def test_a_current_pushes_pd_off_and_pid_brings_it_back() -> None:
     """Along the heading: drag in still water at the speed of the current, against the stiffness."""
-    current = Choices(current=(0.1, 0.0), order="together")
+    current = Overrides(current=(0.1, 0.0), order="together")
     pd = run("paper-pd", current, to=(0.0, 0.0, 0.0, 0.0), duration=200.0, dt=0.01).result
     drag = 0.142306 * 0.1 + 5.153776 * 0.01
     back = 0.091036 * 0.1 + 5.868182 * 0.01  # the hull moves backwards through the water
@@ -235,7 +235,7 @@ def test_thrusters_that_push_elsewhere() -> None:
     def turned(wrench: np.ndarray, **more: object) -> tuple[str, ...]:
         other = replace(thrusters[one], wrench=tuple(map(float, wrench)), **more)  # type: ignore[arg-type]
         vehicle = replace(AUV, thrusters=tuple(other if t.name == one else t for t in AUV.thrusters))
-        return ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=False).parts.turned
+        return ClosedLoop(load_gains("paper-pd", AUV), vehicle, compiled=False).parts.turned_thrusters
 
     own, arm = np.array(thrusters[one].wrench), np.array([1, 1, 1, 1, 1, 1.5])
     assert turned(own) == turned(own * arm) == turned(own, thrust_per_command=Value(3.0)) == ()
@@ -338,7 +338,7 @@ def test_a_pose_that_jumps_has_diverged() -> None:
     """Where the integration jumps there need be no speed: 3e12 m in 1000 s are none of a vehicle in water."""
     x = np.array([[0.0, 0.0, -3e12, 0.0, 0.1, 0.0, 0.2, 0.0], [9e4, 0.0, 1.0, 0.0, 99.0, 0.0, 0.2, 0.0]])
     t = np.array([1000.0, 1000.0])
-    assert CREDIBLE.broken(x, np.zeros(4), t).any(axis=1).tolist() == [True, False]
+    assert PLAUSIBLE.implausible(x, np.zeros(4), t).any(axis=1).tolist() == [True, False]
     names = ("x", "y", "z", "psi", "u", "v", "w", "r")
     found = divergence(names, x[0], np.zeros(4), 1000.0)
     assert (found.name, found.value, found.limit) == ("z", -3e12, 2 * FASTEST * 1001.0)

@@ -15,11 +15,11 @@ import sympy as sm
 from tests.quick import first_quick
 from undertow.control.conditions.by_law import CONDITIONS, Quantities
 from undertow.control.conditions.channels import roots, routh_array
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import Problem, Uncertainty
 from undertow.control.conditions.repair import KINDS, Repair, single_repairs
 from undertow.control.conditions.repair import repair as repaired
 from undertow.control.conditions.result import Report, Row
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import load_gains
 from undertow.model.loading import load_vehicle
 
@@ -108,10 +108,7 @@ def test_derived_condition_by_channel(channel: str, signs: str, span: tuple[floa
 
 @pytest.mark.parametrize(
     ("signs", "margin", "pair"),
-    [
-        ("forward", -0.000971575, 0.003198 + 0.038054j),
-        ("backward", -0.001677419, 0.005482 + 0.038392j),
-    ],
+    [("forward", -0.000971575, 0.003198 + 0.038054j), ("backward", -0.001677419, 0.005482 + 0.038392j)],
 )
 def test_the_published_surge_loop_is_unstable(signs: str, margin: float, pair: complex) -> None:
     assert row("derived", "Routh", "x", signs).margin == pytest.approx(margin, rel=SIX)
@@ -210,7 +207,7 @@ def test_repaired_gains_satisfy_what_they_were_repaired_for(kind: str) -> None:
     for name, changed in found.gains.items():
         for coordinate, value in changed.items():
             values[name][here.coordinates.index(coordinate)] = value
-    there = here.changed(values)
+    there = here.with_gains(values)
     for condition in KINDS[kind].conditions:
         for one in there.sets:
             if condition.per_channel_only:
@@ -226,9 +223,9 @@ def test_the_digits_that_are_printed_repair(kind: str) -> None:
     for name, changed in found.gains.items():
         for coordinate, value in changed.items():
             values[name][here.coordinates.index(coordinate)] = float(f"{value:.6g}")
-    there = here.changed(values)
+    there = here.with_gains(values)
     conditions = [c for c in KINDS[kind].conditions if not c.per_channel_only]
-    assert not conditions or there.iota(conditions, there.distinct) is not None
+    assert not conditions or there.iota_interval(conditions, there.relevant_sets) is not None
     for condition in {*KINDS[kind].conditions} - {*conditions}:
         assert all(there.margin(condition, one, None, i) > 0 for one in there.sets for i in range(4))
 

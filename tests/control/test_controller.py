@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from undertow.control.controller import Controller, Sharing, thruster_commands
+from undertow.control.controller import Controller, SymbolicAllocation, thruster_commands
 from undertow.control.gains import (
     Allocation,
     AllocationTable,
@@ -32,11 +32,7 @@ def gain_set(name: str = "paper-pid", **changes: object) -> GainSet:
 
 
 def sample(
-    controller: Controller,
-    y: list[float],
-    r: list[float],
-    s: list[float] | None = None,
-    dt: float = 0.1,
+    controller: Controller, y: list[float], r: list[float], s: list[float] | None = None, dt: float = 0.1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     states = controller.initial_states() if s is None else s
     found = controller.sampled(y, r, states, controller.gain_values(), dt)
@@ -52,7 +48,9 @@ def test_the_paper_s_allocation_comes_out() -> None:
 
 def commands(allocation: Allocation, force: Sequence[float]) -> np.ndarray:
     wanted = ca.SX.sym("force", len(allocation.matrix))
-    function = ca.Function("allocate", [wanted], [thruster_commands(Sharing.of(allocation), wanted)])
+    function = ca.Function(
+        "allocate", [wanted], [thruster_commands(SymbolicAllocation.of(allocation), wanted)]
+    )
     return np.asarray(ca.densify(function(force))).ravel()
 
 

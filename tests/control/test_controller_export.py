@@ -99,9 +99,9 @@ def test_six_degrees_of_freedom_and_eight_thrusters(compiler: Compiler, tmp_path
 def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> None:
     """A walk of the reports towards the set-point; the states are carried on by each side on its own."""
     library, name = compiled(controller, compiler, folder)
-    k, p = np.array(controller.gain_values()), np.array(list(controller.numbered().values.values()))
+    k, p = np.array(controller.gain_values()), np.array(list(controller.parametrised().values.values()))
     assert (np.array((ctypes.c_double * len(p)).in_dll(library, f"{name}_parameters_default")) == p).all()
-    function, numbered = controller.sampled, controller.numbered().control
+    function, numbered = controller.sampled, controller.parametrised().control
     n, n_u = function.size1_in("r"), function.size1_out("u")
     s, expected = np.full(function.size1_in("s"), 7.0), np.array(controller.initial_states())
     getattr(library, f"{name}_start")(pointer(s))

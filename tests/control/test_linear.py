@@ -123,7 +123,7 @@ def test_a_flat_part_of_a_thrust_curve_hides_no_trim_and_is_named(tmp_path: Path
     assert ahead.commands == pytest.approx({"port": 0.5, "starboard": 0.5})
     assert ahead.remarks == ()
     rest = find_trim(boat)
-    assert rest.idle == ("port", "starboard")
+    assert rest.ineffective == ("port", "starboard")
     assert "small changes of port, starboard have no effect here" in rest.remarks[0]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.control.loops import run as simulated
 from undertow.control.closed_loop.pictures import SPAN, band, pictures
-from undertow.control.closed_loop.record import Swing
+from undertow.control.closed_loop.record import CommandRange
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
 from undertow.control.gains import load_gains
@@ -18,7 +18,7 @@ T = np.linspace(0, 100, 20_001)
 
 def of_samples(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...] | None:
     """The band of a command of which every sample is a row."""
-    return band(t, values, Swing(values, values, np.abs(np.diff(values, prepend=values[0]))))
+    return band(t, values, CommandRange(values, values, np.abs(np.diff(values, prepend=values[0]))))
 
 
 def test_a_switching_command_is_the_band_that_it_fills() -> None:
@@ -45,7 +45,7 @@ def test_chattering_between_the_rows_of_a_run_is_a_band() -> None:
     """Sliding modes switch at every sample; the mean of ten samples shows none of it."""
     loop = ClosedLoop(load_gains("paper-smc", load_vehicle("mini-auv")))
     run = loop.run(Scenario((0, 0, 1), duration=4.0, dt=0.001, log_interval=0.01))
-    swing, found = run.swings["f1"], next(c for c in run.result.commands if c.name == "f1")
+    swing, found = run.command_ranges["f1"], next(c for c in run.result.commands if c.name == "f1")
     assert max(-swing.low.min(), swing.high.max()) == found.peak
     np.testing.assert_allclose(swing.travel.sum() / 4.0, found.variation, rtol=1e-3)
     assert np.ptp(run.commands["f1"][10:]) < 0.2 * np.ptp([swing.low[10:], swing.high[10:]])

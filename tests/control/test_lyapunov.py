@@ -12,11 +12,11 @@ from tests.quick import first_quick
 from undertow.control.conditions.by_law import (
     CANDIDATES,
     IOTA,
-    along_the_loop,
-    compare,
+    closed_loop_derivative,
+    derivative_difference,
     derivatives,
     equilibria_without_thrust,
-    filled,
+    substituted,
 )
 from undertow.control.laws import LAWS, LawSignals, sliding_surface
 from undertow.control.plant import Plant
@@ -35,7 +35,7 @@ def plant(*without: str) -> Plant:
 
 def one_direction(p: Plant) -> Plant:
     """A plant with every switched parameter at its forward value."""
-    return filled(p, {sm.sign(v): sm.Integer(1) for v in p.reversing})
+    return substituted(p, {sm.sign(v): sm.Integer(1) for v in p.reversing})
 
 
 def assert_zero(expression: sm.Expr) -> None:
@@ -114,13 +114,13 @@ def test_39_with_38_and_the_super_twisting_function(law_id: str) -> None:
 @pytest.mark.parametrize("law_id", first_quick(LAWS, 3))
 @pytest.mark.parametrize("vehicle", ["cybership2", "box-hull"])
 def test_other_vehicles_at_random_points(law_id: str, vehicle: str) -> None:
-    assert compare(Plant(load_vehicle(vehicle)), LAWS[law_id]()) < 1e-12
+    assert derivative_difference(Plant(load_vehicle(vehicle)), LAWS[law_id]()) < 1e-12
 
 
 def test_the_comparison_sees_a_wrong_derivative(monkeypatch: pytest.MonkeyPatch) -> None:
     right = CANDIDATES["pd"].derivative
     monkeypatch.setattr(type(CANDIDATES["pd"]), "derivative", lambda self, s: 1.01 * right(s))
-    assert compare(plant(), LAWS["pd"]()) > 1e-3
+    assert derivative_difference(plant(), LAWS["pd"]()) > 1e-3
 
 
 def test_the_comparison_sees_a_fault_of_backward_motion(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_the_comparison_sees_a_fault_of_backward_motion(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         type(CANDIDATES["pd"]), "derivative", lambda self, s: right(s).xreplace({sm.Abs(u): u})
     )
-    assert compare(plant(), LAWS["pd"]()) > 1e-3
+    assert derivative_difference(plant(), LAWS["pd"]()) > 1e-3
 
 
 def test_all_rest_states_have_v_dot_zero_but_only_the_set_point_stays() -> None:
@@ -137,7 +137,7 @@ def test_all_rest_states_have_v_dot_zero_but_only_the_set_point_stays() -> None:
     law = LAWS["pd"]()
     s = LawSignals(plant(), law)
     rest = dict.fromkeys(s.plant.nu, sm.Integer(0))
-    assert along_the_loop(CANDIDATES["pd"].value(s), law, s).xreplace(rest) == 0
+    assert closed_loop_derivative(CANDIDATES["pd"].value(s), law, s).xreplace(rest) == 0
     net = (law.force(s) - s.plant.g).xreplace(rest)
     assert sm.simplify(net.jacobian(s.error).det()) == s.K_P.det()
 

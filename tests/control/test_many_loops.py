@@ -8,7 +8,7 @@ import pytest
 from tests.control.loops import AUV, GOAL, law_of, loop
 from tests.quick import first_quick
 from undertow.codegen.compiler import Compiler, find_compiler
-from undertow.control.closed_loop import Choices, ClosedLoop, Push, Scenario
+from undertow.control.closed_loop import ClosedLoop, Overrides, Push, Scenario
 from undertow.control.gains import load_gains
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
@@ -30,8 +30,8 @@ def lanes(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> in
     return request.param
 
 
-def closed(gains: str, choices: Choices | None = None, *, compiled: bool = True) -> ClosedLoop:
-    return (choices or Choices()).loop(gains, AUV, compiled=compiled)
+def closed(gains: str, overrides: Overrides | None = None, *, compiled: bool = True) -> ClosedLoop:
+    return (overrides or Overrides()).loop(gains, AUV, compiled=compiled)
 
 
 @pytest.mark.parametrize("gains", first_quick(LAWS))

@@ -19,19 +19,19 @@ import sympy as sm
 from tests.quick import first_quick
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
-from undertow.control.closed_loop import Choices, ClosedLoop, Record, Scenario
+from undertow.control.closed_loop import ClosedLoop, Overrides, Record, Scenario
 from undertow.control.closed_loop.pictures import track
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.tracking import Falling, check_mission, damping_corners, speeds
-from undertow.control.conditions.whole import certify
+from undertow.control.conditions.tracking import DecreaseCondition, check_mission, damping_corners, speeds
 from undertow.control.controller import Controller
 from undertow.control.controller_c import controller_c
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.guidance.line_of_sight import Guidance, LineOfSight
 from undertow.control.guidance.mission import Mission, MissionTable, load_mission, mission_from_table
 from undertow.control.guidance.reference import Kinematics, Limits
-from undertow.control.laws import JUMPING, LAWS
-from undertow.control.linear.systems import SettledObserver, close_loop
+from undertow.control.laws import DISCONTINUOUS, LAWS
+from undertow.control.linear.systems import SteadyStateFilter, close_loop
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value
@@ -173,7 +173,7 @@ def test_a_vehicle_that_begins_on_its_spline_stays_there(law: str) -> None:
     assert 1e-8 < max(e.largest for e in sampled.errors) < 0.01  # commands that are held are late
 
 
-@pytest.mark.parametrize("law", JUMPING)
+@pytest.mark.parametrize("law", DISCONTINUOUS)
 def test_a_law_that_jumps_stays_within_what_its_samples_leave(law: str) -> None:
     found = (
         ClosedLoop(ship(law), mission=mission("spline", SQUARE)).run(Scenario(duration=60.0, dt=0.02)).result
@@ -310,7 +310,7 @@ def test_q_of_pid_is_that_of_the_model_whatever_frame_it_is_worked_out_in() -> N
     random = np.random.default_rng(3)
     for changed in ({}, {"K_P": {"z": 30.0}}, {"K_P": {"y": 30.0}}):
         gains, most = six(**changed), np.array([1.0, 0.8, 0.6, 0.5, 0.4, 0.7])
-        falling = Falling(Problem(gains), most)
+        falling = DecreaseCondition(Problem(gains), most)
         for _ in range(4):
             eta = np.concatenate([np.zeros(3), random.uniform(-1, 1, 3)])
             if changed.get("K_P", {}).get("z"):
@@ -330,7 +330,7 @@ def test_more_damping_at_speed_may_break_v_of_pid() -> None:
     assert margins[0] > 0
     assert margins[1] < 0
     problem = Problem(gains)
-    falling = Falling(problem, speeds(problem, mission("spline", scattered(3), speed=3.0)))
+    falling = DecreaseCondition(problem, speeds(problem, mission("spline", scattered(3), speed=3.0)))
     still = np.abs(falling.nu[:, :3]).max(axis=1) == 0
     level = np.repeat(falling.attitudes.at({})[None], len(falling.nu), axis=0)
     each = falling.margin(0.2, level, np.arange(len(level)), np.arange(len(level)))
@@ -355,7 +355,7 @@ def test_cubic_drag_is_within_its_corners() -> None:
     gains = ship("pid")
     assert all(r.verdict == "holds" for r in check_mission(gains, mission("spline", SQUARE, speed=0.1)).rows)
     most, random = np.array([0.5, 0.3, 0.4]), np.random.default_rng(4)
-    falling = Falling(Problem(gains), most)
+    falling = DecreaseCondition(Problem(gains), most)
     assert falling.affine
     own = falling.attitudes.at({})[None]
     every = np.arange(len(falling.nu))
@@ -394,7 +394,7 @@ class Particle:
         eta, nu, s = ca.SX.sym("eta", 3), ca.SX.sym("nu", 3), ca.SX.sym("s", len(self.guide.state_names))
         r = ca.DM([n.value for n in self.guide.numbers])
         kin = Kinematics(names, eta, nu, ca.SX.eye(3), ca.SX.zeros(3, 3))
-        course = self.guide.course(r, s, kin)
+        course = self.guide.desired(r, s, kin)
         following = self.guide.advance(r, s, kin, ca.SX(0.01))
         self._step = ca.Function("step", [eta, nu, s], [course.eta_d[2], course.nu_r[0], following])
 
@@ -419,7 +419,7 @@ def test_commands_on_a_reference_include_the_jump_of_a_sliding_mode_either_way(l
     (row,) = (r for r in check_mission(gains, where).rows if r.condition == "commands")
     reference = where.reference(gains)
     controller = Controller(gains, reference)
-    profile, share = reference.profile, controller.allocation.share
+    profile, share = reference.profile, controller.allocation.force_to_commands
     place, worst = controller.state_names.index("mission_time"), 0.0
     for t in np.linspace(0, profile.duration, 400):
         pose, rate = profile.at(np.array([t]))[0], profile.at(np.array([t]), 1)[0]
@@ -526,9 +526,9 @@ def test_a_torpedo_with_fins_comes_to_its_leg_across_a_current(remus: GainSet) -
 
 
 def _in_current(gains: GainSet):  # type: ignore[no-untyped-def]
-    from undertow.control.closed_loop import Choices
+    from undertow.control.closed_loop import Overrides
 
-    return Choices(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
+    return Overrides(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
 
 
 @pytest.mark.slow
@@ -544,7 +544,7 @@ def test_a_leg_is_certified_and_too_short_a_lookahead_is_not(remus: GainSet) -> 
     assert [r.verdict for r in check_mission(remus, on_leg(lookahead=1.5)).rows] == ["holds", "fails"]
 
 
-@pytest.mark.parametrize("law", JUMPING)
+@pytest.mark.parametrize("law", DISCONTINUOUS)
 def test_a_law_that_jumps_is_not_linearised_on_legs(law: str) -> None:
     """Sampled it has no steady motion, which says nothing against it."""
     rows = check_mission(ship(law), mission("legs", SQUARE, guidance={"lookahead": 3, "acceptance": 1})).rows
@@ -590,9 +590,9 @@ def _four_legs(observer: ObserverTable | None) -> Record:
     legs = mission("legs", FOUR, speed=0.2, guidance=guidance, current=WATER)
     gains = ship("pid", gains={"K_P": 5.0, "K_V": 30.0, "K_I": 0.1})
     chosen = None if observer is None else design(observer, gains.plant.vehicle)
-    plant = Choices(current=legs.current).in_current(gains.plant.vehicle)
+    plant = Overrides(current=legs.current).in_current(gains.plant.vehicle)
     loop = ClosedLoop(gains, plant, mission=legs, observer=chosen)
-    return loop.run(Scenario(duration=legs.lasts(gains.plant.vehicle.pose_names), dt=0.1))
+    return loop.run(Scenario(duration=legs.simulation_time(gains.plant.vehicle.pose_names), dt=0.1))
 
 
 @pytest.mark.slow
@@ -631,7 +631,7 @@ def test_gains_judge_the_loop_behind_an_observer() -> None:
     vehicle = gains.plant.vehicle
     found = certify(gains, observer=design(_observer(0.02), vehicle), forms=["derived"]).loop_with_observer
     loop = close_loop(vehicle, gains)
-    filter = SettledObserver(design(_observer(0.02), vehicle), loop.trim)
+    filter = SteadyStateFilter(design(_observer(0.02), vehicle), loop.trim)
     # The separation principle: poles of the law and of the filter.
     slowest = max(
         [*np.linalg.eigvals(loop.closed.A).real, *np.linalg.eigvals(filter.a - filter.gain @ filter.c).real]
@@ -684,7 +684,7 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
     assert (np.array((ctypes.c_double * len(r)).in_dll(library, f"{name}_mission_default")) == r).all()
     function, random = controller.sampled, np.random.default_rng(2)
     s, k = np.zeros(function.size1_in("s")), np.array(controller.gain_values())
-    p = np.array(list(controller.numbered().values.values()))
+    p = np.array(list(controller.parametrised().values.values()))
     getattr(library, f"{name}_start")(_pointer(s))
     n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
     u, tau = np.zeros(function.size1_out("u")), np.zeros(n)

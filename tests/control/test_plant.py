@@ -87,7 +87,7 @@ def test_sliding_laws_give_the_surface_the_rate_they_declare(law_id: str) -> Non
     s = LawSignals(plant, law)
     driven = plant.M.inv() * (law.force(s) - (plant.C + plant.D) * plant.nu - plant.g)
     moving = -plant.J_dot * plant.nu - plant.J * driven - s.Lambda * plant.J * plant.nu
-    difference = at_a_point((moving + law.reach(s)).xreplace(plant.numbers))
+    difference = at_a_point((moving + law.reaching_rate(s)).xreplace(plant.numbers))
     assert max(abs(sm.N(e)) for e in difference) < 1e-12
 
 

@@ -14,14 +14,14 @@ from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.attitude import Interval, enclose
-from undertow.control.conditions.definite import Work, sums_positive
-from undertow.control.conditions.embedding import certainly_positive
+from undertow.control.conditions.definite import MatrixBudget, sums_positive
+from undertow.control.conditions.embedding import proved_positive_definite
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import Problem
-from undertow.control.conditions.program import SETTINGS, Bounds, Program
-from undertow.control.conditions.quadratic import Search
+from undertow.control.conditions.program import SETTINGS, Program, SpeedBox
+from undertow.control.conditions.quadratic import QuadraticSearch
 from undertow.control.conditions.region import region
 from undertow.control.conditions.result import Quadratic
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.errors import UndertowError
@@ -42,7 +42,7 @@ def rates(problem: Problem, way: dict[sm.Symbol, int], states: np.ndarray) -> np
     psi = plant.eta[3]
     names = [psi, *s.error, *s.states, *plant.nu]
     turn, force, integral, M = (
-        sm.lambdify(names, plant.one_way(sm.Matrix(p), way).xreplace(numbers), "numpy") for p in parts
+        sm.lambdify(names, plant.with_signs(sm.Matrix(p), way).xreplace(numbers), "numpy") for p in parts
     )
     found = []
     for z in states:
@@ -160,11 +160,11 @@ def test_positive_definite_is_said_only_where_it_is() -> None:
     for _ in range(50):
         thin = rng.integers(-9, 10, (6, 5)).astype(float)
         singular = thin @ thin.T
-        assert not certainly_positive(enclose(singular[None]))
-        assert certainly_positive(enclose((singular + 1e-6 * np.eye(6))[None]))
+        assert not proved_positive_definite(enclose(singular[None]))
+        assert proved_positive_definite(enclose((singular + 1e-6 * np.eye(6))[None]))
         wide = np.full((6, 6), 1e-6)
         shifted = singular + 1e-6 * np.eye(6)
-        assert not certainly_positive(Interval((shifted - wide)[None], (shifted + wide)[None]))
+        assert not proved_positive_definite(Interval((shifted - wide)[None], (shifted + wide)[None]))
 
 
 @pytest.mark.parametrize("counts", [(2, 3), (3, 4, 2)])
@@ -181,15 +181,15 @@ def test_sums_are_positive_only_where_each_of_them_is(counts: tuple[int, ...]) -
     worst = np.min([np.linalg.eigvalsh(s)[:, 0] for s in sums], axis=0)[place]
     off = rng.uniform(-0.2, 0.2, rows)
     rest = enclose((off - worst)[:, None, None] * np.eye(n))
-    found = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), Work(10**6))
+    found = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), MatrixBudget(10**6))
     np.testing.assert_array_equal(found[np.abs(off) > 1e-3], off[np.abs(off) > 1e-3] > 0)
-    pairs = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows) // 2, Work(10**6))
+    pairs = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows) // 2, MatrixBudget(10**6))
     np.testing.assert_array_equal(pairs, found.reshape(-1, 2).all(axis=1))
     wide = Interval(rest.lo - 0.02 / n, rest.hi + 0.02 / n)  # takes 0.02 at most, and 0.02 of the sum of all
-    left = sums_positive(wide, place, [enclose(e) for e in ends], np.arange(rows), Work(10**6))
+    left = sums_positive(wide, place, [enclose(e) for e in ends], np.arange(rows), MatrixBudget(10**6))
     assert not left[off < 0.015].any()
     assert left[off > 0.03].all()
-    few = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), Work(10))
+    few = sums_positive(rest, place, [enclose(e) for e in ends], np.arange(rows), MatrixBudget(10))
     assert not few.any()
 
 
@@ -239,9 +239,9 @@ def test_pid_in_six_degrees_of_freedom_is_proved() -> None:
 
 # --- products of velocities -----------------------------------------------------------------------------
 def _program(gains: GainSet, start: dict[str, float]) -> Program:
-    looked = Search(Problem(gains, np.pi / 3), start)
+    looked = QuadraticSearch(Problem(gains, np.pi / 3), start)
     speeds = np.full(looked.loop.n, 0.3)
-    return Program(looked, Bounds(speeds, dict.fromkeys(looked.loop.angles, 0.3)))
+    return Program(looked, SpeedBox(speeds, dict.fromkeys(looked.loop.angles, 0.3)))
 
 
 def test_what_may_be_added_to_the_fall_of_v_vanishes_at_every_motion() -> None:
@@ -271,5 +271,5 @@ def test_thrusters_that_push_and_turn_either_way_both_have_room_left() -> None:
     program = _program(law(coupled, "pid"), dict.fromkeys(("x", "y", "z", "psi"), 0.2))
     found = program.solve()
     assert found is not None
-    assert found.start > 2 * SETTINGS.low_enough
-    assert list(program.moves(found)) == pytest.approx([0.2 * (1 - SETTINGS.slack)] * 2, rel=2e-3)
+    assert found.start > 2 * SETTINGS.lowest_start_level
+    assert list(program.command_changes(found)) == pytest.approx([0.2 * (1 - SETTINGS.slack)] * 2, rel=2e-3)

@@ -20,7 +20,7 @@ from undertow.control import as_controller, as_nlsys, close_loop, find_trim, in_
 from undertow.control.closed_loop.parts import SampledLoop
 from undertow.control.gains import load_gains
 from undertow.control.linear import analysis
-from undertow.control.linear.analysis import disk_margin_of_all, margins, minimal, modes, sampled_gramian
+from undertow.control.linear.analysis import margins, minimal, modes, multiloop_disk_margin, sampled_gramian
 from undertow.model.effects.actuation_delay import ActuationDelay
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Value, Vehicle
@@ -156,7 +156,7 @@ def _satellite() -> ct.StateSpace:
 @needs_slycot
 def test_disk_margin_of_all_is_the_scaled_norm() -> None:
     satellite = _satellite()
-    found = disk_margin_of_all(satellite)
+    found = multiloop_disk_margin(satellite)
     # Of two loops the bound is exact: the least norm over the scaling diag(d, 1).
     omega = np.geomspace(0.01, 300, 150)  # the worst is at rest
     scales = np.geomspace(0.05, 20, 200)
@@ -168,7 +168,7 @@ def test_disk_margin_of_all_is_the_scaled_norm() -> None:
     assert found == pytest.approx(1 / max(norms), rel=2e-3)
     apart = ct.append(ct.ss(ct.tf([1.0], [1.0, 2.0, 1.0, 0.0])), ct.ss(ct.tf([3.0], [1.0, 1.0, 0.0])))
     alone = [margins(minimal(ct.ss(apart[i, i]))).disk for i in (0, 1)]
-    assert disk_margin_of_all(apart) == pytest.approx(min(alone), rel=1e-4)
+    assert multiloop_disk_margin(apart) == pytest.approx(min(alone), rel=1e-4)
 
 
 @needs_slycot
@@ -183,7 +183,7 @@ def test_all_forces_together_have_no_more_room_than_one(auv: Vehicle) -> None:
 def test_without_slycot_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(analysis, "find_spec", lambda name: None)
     with pytest.raises(UndertowError, match=r"pip install 'undertow\[slycot\]'"):
-        disk_margin_of_all(_satellite())
+        multiloop_disk_margin(_satellite())
 
 
 # --- the command --------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 from tests.control.loops import GOAL, law_of, loop, run
 from undertow.control.closed_loop import ClosedLoop, Push, Scenario
 from undertow.control.closed_loop.measures import find_cycle
-from undertow.control.closed_loop.parts import SampledLoop, offsets
+from undertow.control.closed_loop.parts import SampledLoop, sampling_offsets
 from undertow.control.gains import GainTable, gains_from_table
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
@@ -21,7 +21,7 @@ def test_the_longest_interval_is_where_the_sampled_loop_turns_unstable() -> None
     """Depth under PD: M w_dot = -D w - k_p e - k_v w, sampled; the limit is that of the whole loop."""
     pd = loop("paper-pd")
     goal = np.array([-1.0, 1.0, 1.0, 2.0])
-    limit = SampledLoop(pd.parts, goal, goal).longest()
+    limit = SampledLoop(pd.parts, goal, goal).longest_interval()
     assert 0.5 < limit < 2
     good, bad = (
         run("paper-pd", to=(*GOAL, 0.01), start=(-1.0, 1.0, 1.0, 0.0), duration=60 * dt, dt=dt)
@@ -62,7 +62,7 @@ def test_a_boundary_layer_may_be_sampled_as_slowly_as_its_slope_allows() -> None
     """S_next = (1 - K_Z dt / width M_law / M) S; the law takes the mean of both sets of heave for M."""
     layer = law_of("sliding-mode-boundary-layer", K_Z=1.0, width=0.01, Lambda=0.05)
     goal = np.zeros(4)
-    assert SampledLoop(layer.parts, goal, goal).longest() == pytest.approx(
+    assert SampledLoop(layer.parts, goal, goal).longest_interval() == pytest.approx(
         2 * 0.01 / 1.0 * 10.088308 / 10.748347, rel=0.01
     )
 
@@ -86,9 +86,9 @@ def test_without_a_way_to_go_the_heading_is_kept() -> None:
 
 
 def test_offsets_of_the_sampled_sign() -> None:
-    found = offsets(loop("paper-smc").parts, 1e-3)
+    found = sampling_offsets(loop("paper-smc").parts, 1e-3)
     assert found["z"] == pytest.approx(0.0142857, abs=1e-6)
-    assert offsets(loop("paper-pd").parts, 1e-3) == {}
+    assert sampling_offsets(loop("paper-pd").parts, 1e-3) == {}
     with pytest.raises(UndertowError, match=r"leave 2.86 in z on a way of 1; it must be below 0.07 s"):
         run("paper-smc", dt=0.2)
 
@@ -113,7 +113,7 @@ def test_super_twisting_stays_within_its_estimate() -> None:
 
 def test_super_twisting_has_a_longest_interval() -> None:
     twisting = law_of("super-twisting", K_1=1.0, K_2=0.5, Lambda=0.8)
-    assert offsets(twisting.parts, 0.01)["z"] == pytest.approx(1.5**2 * 1e-4 / 0.8)
+    assert sampling_offsets(twisting.parts, 0.01)["z"] == pytest.approx(1.5**2 * 1e-4 / 0.8)
     with pytest.raises(
         UndertowError, match=r"is estimated to leave 2.81 in z on a way of 1; .* below 0.596 s"
     ):

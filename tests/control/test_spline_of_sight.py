@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.control.test_missions import EXAMPLES, LIMITS, mission, ship
-from undertow.control.closed_loop import Choices, ClosedLoop, Scenario
+from undertow.control.closed_loop import ClosedLoop, Overrides, Scenario
 from undertow.control.conditions.tracking import check_mission
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, load_gains
@@ -43,7 +43,7 @@ def particle(guide: LineOfSight, start: np.ndarray, seconds: float, dt: float = 
     eta, nu, s = ca.SX.sym("eta", 3), ca.SX.sym("nu", 3), ca.SX.sym("s", len(guide.state_names))
     r = ca.DM([n.value for n in guide.numbers])
     kin = Kinematics(("x", "y", "psi"), eta, nu, ca.SX.eye(3), ca.SX.zeros(3, 3))
-    course = guide.course(r, s, kin)
+    course = guide.desired(r, s, kin)
     after = guide.advance(r, s, kin, ca.SX(dt))
     step = ca.Function("step", [eta, nu, s], [course.eta_d[2], course.nu_r[0], after])
     pose, states, rows = start.copy(), np.array(guide.initial_states()), []
@@ -60,7 +60,7 @@ def test_a_circle_is_followed_without_error_although_the_heading_is_slow() -> No
     slow = Limits(1.0, 0.5, 0.4, 0.16)
     quick, radius = 0.16 / (2 * 0.4), 50.0
     guide = circle(radius, slow, Guidance(15.0, 1.0))
-    assert guide.bends[500:700] == pytest.approx(1 / radius, rel=5e-3)
+    assert guide.curvatures[500:700] == pytest.approx(1 / radius, rel=5e-3)
     start = np.array([radius, 0.0, guide.start[2]])
     off = np.linalg.norm(particle(guide, start, 150.0), axis=1) - radius
     assert np.abs(off[5500:]).max() < 0.01  # the turn begins from rest
@@ -78,7 +78,7 @@ def test_the_place_on_the_path_is_the_nearest_point(remus: GainSet) -> None:
     places = guide.curve(first) + np.column_stack([aside, random.normal(size=30)])
     # The foot of the sample before is half a metre back.
     states = {n: np.zeros(30) for n in guide.state_names} | {"path": first - 0.5}
-    found = guide._passed(states, list(places.T))
+    found = guide._positions(states, list(places.T))
     flat = np.linalg.norm(path[:, None, :2] - places[None, :, :2], axis=2)
     assert found.along == pytest.approx(w[flat.argmin(axis=0)], abs=0.03)
     assert np.abs(found.cross) == pytest.approx(flat.min(axis=0), abs=1e-3)
@@ -106,7 +106,7 @@ def test_a_straight_spline_is_a_leg() -> None:
 def test_a_torpedo_with_fins_keeps_to_a_spline_across_a_current(north: float, remus: GainSet) -> None:
     winding = replace(load_mission(WINDING), current=(0.0, north))
     loop = ClosedLoop(
-        remus, Choices(current=winding.current).in_current(remus.plant.vehicle), mission=winding
+        remus, Overrides(current=winding.current).in_current(remus.plant.vehicle), mission=winding
     )
     guide = winding.reference(remus)
     start = (*map(float, guide.start[:3]), float(guide.start[-1]))

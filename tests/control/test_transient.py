@@ -18,12 +18,19 @@ from tests.control.test_certificates import loaded
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions import transient
 from undertow.control.conditions.attitude import enclose
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.motion import SETTINGS as KERNELS
-from undertow.control.conditions.motion import Driven, Motion, Responses, Starts, grid, modes
+from undertow.control.conditions.motion import DrivenMotion, PoseLoop, Responses, StartBox, modes, time_grid
 from undertow.control.conditions.problem import Problem, Span
 from undertow.control.conditions.result import Transient
-from undertow.control.conditions.transient import Bounds, Known, Search, Sector, _caps, bounds_in_time
-from undertow.control.conditions.whole import certify
+from undertow.control.conditions.transient import (
+    PushBounds,
+    Sector,
+    SignalBounds,
+    TubeSearch,
+    _caps,
+    bounds_in_time,
+)
 from undertow.control.gains import GainSet, GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.errors import UndertowError
@@ -103,9 +110,9 @@ def test_responses_are_bounded_between_the_ends_of_pieces_and_after_the_last() -
     rng = np.random.default_rng(3)
     A, rows = _stable(rng), rng.normal(size=(4, 5))
     found = modes(enclose(A))
-    times = grid(found.rates, FINE)
+    times = time_grid(found.rates, FINE)
     bounds = Responses(found, rows, times).pieces(np.arange(4), np.full(4, 2))
-    assert found.off.max() < 1e-9
+    assert found.residual.max() < 1e-9
     for t in rng.uniform(0, 1, 300) ** 4 * 1.2 * times[-1]:
         piece = np.searchsorted(times, t, "right") - 1
         assert (np.abs(rows @ expm(A * t)[:, 2]) <= bounds[:, piece]).all()
@@ -118,7 +125,9 @@ def test_integrals_of_responses_are_no_less_than_quadrature_says() -> None:
     rng = np.random.default_rng(4)
     A, row = _stable(rng), rng.normal(size=5)
     found = modes(enclose(A))
-    kernels = Responses(found, row[None], grid(found.rates, FINE, 8)).kernels(np.array([0]), np.array([1]))
+    kernels = Responses(found, row[None], time_grid(found.rates, FINE, 8)).kernels(
+        np.array([0]), np.array([1])
+    )
     for until in (0.3, 2.0, 30.0):
         exact = quad(lambda t: abs(row @ expm(A * t)[:, 1]), 0, until, limit=400)[0]
         ((least,),) = kernels.up_to(np.array([until]))
@@ -131,10 +140,10 @@ def test_an_unstable_loop_has_no_modes_to_bound_by() -> None:
         modes(enclose(np.diag([-1.0, 0.1])))
 
 
-def _closest(found: Driven, sector: Sector, runs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def _closest(found: DrivenMotion, sector: Sector, runs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """How near motions (states by time) come to their bounds, which they have to keep, by signal."""
-    assert found.missed.max() < 1e-6
-    assert found.begun.max() < 1e-10
+    assert found.defect.max() < 1e-6
+    assert found.initial_defect.max() < 1e-10
     closest = np.zeros(len(sector.rows))
     for times, motion in runs:
         seen, bounds = np.abs(sector.rows @ motion), found.signals[: len(times)].T
@@ -148,7 +157,7 @@ def _integrated(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """z' = A z + push(z_1) from z = 0 for corners of the box, at the ends of pieces of time."""
     rng, size = np.random.default_rng(5), len(sector.A)
-    times = grid(sector.modes.rates, FINE)
+    times = time_grid(sector.modes.rates, FINE)
     times = times[times < 30]
 
     def rate(_: float, z: np.ndarray) -> np.ndarray:
@@ -166,30 +175,35 @@ def _integrated(
 def test_second_order_is_that_of_an_integration() -> None:
     """z_2' = A z_2 + q(z_1, z_1) from z_2 = 0: below the bound at all times, and once close to it."""
     sector = _sector()
-    left, motion = sector.left, sector.motion
+    left, motion = sector.slopes, sector.motion
 
     def push(one: np.ndarray) -> np.ndarray:
-        v, angles = one[-6:], -one[sector.signals.error][motion.places]
+        v, angles = one[-6:], -one[sector.signals.error][motion.angle_indices]
         pulled = np.tensordot(angles, left.W, 1) @ (sector.force @ one) - np.tensordot(angles, left.P, 1) @ v
         return np.append(np.zeros(12), pulled + left.Gamma @ v @ v)
 
-    (found,) = sector.driven(grid(sector.modes.rates, FINE))
+    (found,) = sector.driven(time_grid(sector.modes.rates, FINE))
     assert _closest(found, sector, _integrated(sector, push))[sector.signals.rate].max() > 0.3
 
 
 def test_motion_by_the_heading_is_that_of_an_integration_and_the_difference_of_two_headings() -> None:
     sector = _sector(0.7, 0.01)
-    (_, found) = sector.driven(grid(sector.modes.rates, FINE))
-    runs = _integrated(sector, lambda one: 0.01 * sector.turned @ one)
+    (_, found) = sector.driven(time_grid(sector.modes.rates, FINE))
+    runs = _integrated(sector, lambda one: 0.01 * sector.heading_slope @ one)
     assert _closest(found, sector, runs)[sector.signals.rate].max() > 0.3
     other = _sector(0.7 + 1e-5)
-    assert np.abs((other.A - sector.A) / 1e-5 - sector.turned).max() < 1e-4 * np.abs(sector.turned).max()
+    assert (
+        np.abs((other.A - sector.A) / 1e-5 - sector.heading_slope).max()
+        < 1e-4 * np.abs(sector.heading_slope).max()
+    )
 
 
 # --- what is left over ------------------------------------------------------------------------------
 def _sector(heading: float = 0.7, half: float = 0.0) -> Sector:
-    motion, start = Motion(Problem(loop())), np.array([START[c] for c in NAMES])
-    return Sector(motion, Starts(start, motion.plane), motion.leftover(_caps(motion, start)), heading, half)
+    motion, start = PoseLoop(Problem(loop())), np.array([START[c] for c in NAMES])
+    return Sector(
+        motion, StartBox(start, motion.plane), motion.derivatives(_caps(motion, start)), heading, half
+    )
 
 
 @pytest.mark.parametrize(
@@ -206,7 +220,7 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
     """
     rng, seen = np.random.default_rng(6), np.array(mirror)
     sector = _sector(heading, half)
-    bounds, at = Bounds([sector], _caps(sector.motion, sector.starts.box)), sector.signals
+    bounds, at = PushBounds([sector], _caps(sector.motion, sector.starts.box)), sector.signals
     closest = 0.0
     for k in range(60):
         size = 10 ** rng.uniform(-2, 0)
@@ -215,7 +229,7 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
         place = seen[-1] * (heading + half * rng.choice((-1.0, 1.0)))
         own = np.tile(seen, 3) * z
         signals = np.abs(sector.rows @ own)[None]
-        (push,) = bounds.push(Known(0 * signals, signals, np.zeros((1, 18))))
+        (push,) = bounds.push(SignalBounds(0 * signals, signals, np.zeros((1, 18))))
         acceleration = seen * _acceleration(sector.motion.problem.gains, z, place)
         off = np.abs(acceleration - sector.rows[at.acceleration] @ own)
         assert (off <= push[at.rate] + 1e-12).all(), k
@@ -223,29 +237,26 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
     assert closest > 0.3
 
 
-def _changed(text: str, thrusters: str = "") -> Motion:
+def _changed(text: str, thrusters: str = "") -> PoseLoop:
     gains = loop()
     own = loaded(BODY.replace(*text.split("->")) + (thrusters or _single(40.0)))
     table = {n: {c: gains.values[f"{n}_{c}"] for c in NAMES} for n in ("K_P", "K_V", "K_I")}
     raw = {"schema": "undertow/gains/1", "name": "six-pid", "law": "pid", "gains": table}
-    return Motion(Problem(gains_from_table(GainTable.model_validate(raw), own)))
+    return PoseLoop(Problem(gains_from_table(GainTable.model_validate(raw), own)))
 
 
 @pytest.mark.parametrize(
     ("text", "mirrors"),
     [
         ("I_x = 0.5->I_x = 0.5\nx_g = 0.02\nz_g = 0.01", True),
-        (
-            "[effects.quad->[effects.linear_damping_coupling]\nN_v = -0.4\nM_w = 0.2\n[effects.quad",
-            True,
-        ),
+        ("[effects.quad->[effects.linear_damping_coupling]\nN_v = -0.4\nM_w = 0.2\n[effects.quad", True),
         ("N_r = -0.7->N_r = { forward = -0.7, backward = -0.5 }", True),  # bounded by magnitudes
         ("I_x = 0.5->I_x = 0.5\ny_g = 0.02", False),
         ("[effects.quad->[effects.linear_damping_coupling]\nN_u = -0.4\n[effects.quad", False),
     ],
 )
 def test_only_a_vehicle_whose_port_is_as_its_starboard_is_its_mirror_image(text: str, mirrors: bool) -> None:
-    assert _changed(text).mirrors == mirrors
+    assert _changed(text).mirror_symmetric == mirrors
 
 
 def test_commands_at_the_opposite_heading_are_below_the_bounds_of_the_mirror_image() -> None:
@@ -253,18 +264,20 @@ def test_commands_at_the_opposite_heading_are_below_the_bounds_of_the_mirror_ima
     one = _single(40.0).replace("wrench = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "wrench = [1.0, 0, 0, 0, 0, -0.4]")
     motion, rng, seen = _changed("N_r = -0.7->N_r = -0.7", one), np.random.default_rng(8), np.array(MIRROR)
     start = np.array([START[c] for c in NAMES])
-    sector = Sector(motion, Starts(start, motion.plane), motion.leftover(_caps(motion, start)), 0.7, 0.0)
-    bounds = Bounds([sector], _caps(motion, start))
-    assert motion.mirrors
-    assert motion.sides[0].shape == (2, 6, 6)
-    force = motion.law(-0.7)[0]
+    sector = Sector(motion, StartBox(start, motion.plane), motion.derivatives(_caps(motion, start)), 0.7, 0.0)
+    bounds = PushBounds([sector], _caps(motion, start))
+    assert motion.mirror_symmetric
+    assert motion.command_rows[0].shape == (2, 6, 6)
+    force = motion.law_matrices(-0.7)[0]
     closest, one_sided = 0.0, 0.0
     for z in 1e-4 * rng.normal(size=(200, 18)):
         (most,) = bounds.commands(np.abs(sector.rows @ (np.tile(seen, 3) * z))[None])
-        asked = np.abs(motion.commands.share @ force @ z + motion.holding @ z[6:12])
+        asked = np.abs(motion.commands.force_to_commands @ force @ z + motion.restoring_rows @ z[6:12])
         assert (asked <= most - motion.commands.steady() + 1e-12).all()
         closest = max(closest, float((asked / (most - motion.commands.steady())).max()))
-        alone = np.abs(motion.commands.share @ motion.law(0.7)[0] @ (np.tile(seen, 3) * z))
+        alone = np.abs(
+            motion.commands.force_to_commands @ motion.law_matrices(0.7)[0] @ (np.tile(seen, 3) * z)
+        )
         one_sided = max(one_sided, float((asked / alone).max()))
     assert closest > 0.99
     assert one_sided > 2  # the bounds of one side alone would be too small
@@ -356,8 +369,8 @@ def test_fast_couplings_and_thrusters_that_do_not_suffice_are_refused() -> None:
 def test_errors_are_halved_from_when_no_bound_rises_again() -> None:
     errors = np.array([[1.0, 0.1], [0.4, 0.04], [0.6, 0.01], [0.3, 0.05], [0.2, 0.04]])
     found = Transient(np.arange(5.0), errors, errors, errors, 0.1)
-    assert found.halved == 3.0
-    assert replace(found, errors=errors[:3], times=found.times[:3]).halved == np.inf
+    assert found.halving_time == 3.0
+    assert replace(found, errors=errors[:3], times=found.times[:3]).halving_time == np.inf
 
 
 PITCHING = """
@@ -395,25 +408,25 @@ def test_translations_that_do_not_turn_as_a_rotation_get_no_bounds() -> None:
 
 def test_what_coarse_pieces_of_time_do_not_prove_finer_ones_may() -> None:
     """A start that is only just proved: no certificate is given up for the time that coarse pieces save."""
-    motion, (coarse, middle, *_) = Motion(Problem(loop())), KERNELS.ratios
-    search, where = Search(motion, 3.95 * np.array([*START.values()])), [(0.0, 0.0)]
-    assert search.lost(where, [], coarse) == where
+    motion, (coarse, middle, *_) = PoseLoop(Problem(loop())), KERNELS.ratios
+    search, where = TubeSearch(motion, 3.95 * np.array([*START.values()])), [(0.0, 0.0)]
+    assert search.unbounded(where, [], coarse) == where
     found: list[Transient] = []
-    assert search.lost(where, found, middle) == []
+    assert search.unbounded(where, found, middle) == []
     assert len(found) == 1
     begun = np.abs(found[0].errors[0])
     assert np.all(begun >= search.starts.box)
 
 
-class _Told(Search):
+class _Prescribed(TubeSearch):
     """A search that is told up to which half width ranges have bounds, and in how fine pieces of time."""
 
     def __init__(self, half: Callable[[float], float], ratio: float) -> None:
-        self.half, self.ratio, self.motion = half, ratio, SimpleNamespace(mirrors=False)
+        self.half, self.ratio, self.motion = half, ratio, SimpleNamespace(mirror_symmetric=False)
         self.looked: list[tuple[int, float]] = []  # how many ranges at a time, in which pieces of time
         self.proved: list[Span] = []
 
-    def lost(self, ranges: Sequence[Span], found: list, ratio: float) -> list[Span]:
+    def unbounded(self, ranges: Sequence[Span], found: list, ratio: float) -> list[Span]:
         self.looked.append((len(ranges), ratio))
         there = [h <= self.half(m) and ratio <= self.ratio for m, h in ranges]
         found += [there] * sum(there)
@@ -423,16 +436,16 @@ class _Told(Search):
 
 def test_a_search_is_given_up_where_a_narrowest_range_has_no_bounds() -> None:
     coarse, middle, fine = KERNELS.ratios
-    hopeless = _Told(lambda _: 0.0, fine)
-    assert hopeless.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) is None
+    hopeless = _Prescribed(lambda _: 0.0, fine)
+    assert hopeless.cover([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) is None
     assert hopeless.looked == [(3, coarse), (3, coarse), (3, middle), (3, fine)]
 
 
 @pytest.mark.parametrize("first", [True, False])
 def test_a_range_without_bounds_ends_a_search_in_which_others_are_still_gone_through(*, first: bool) -> None:
     """It is in the finest pieces of time when the other one is in the coarsest, in either order."""
-    told = _Told(lambda middle: 0.026 * ((middle < 0.2) is not first), KERNELS.ratios[0])
-    assert told.whole([(0.1, 0.1), (0.3, 0.1)], 3) is None
+    told = _Prescribed(lambda middle: 0.026 * ((middle < 0.2) is not first), KERNELS.ratios[0])
+    assert told.cover([(0.1, 0.1), (0.3, 0.1)], 3) is None
     assert told.proved
 
 
@@ -441,10 +454,10 @@ def test_ranges_are_cut_as_narrow_as_they_need_and_every_heading_is_in_one(
     monkeypatch: pytest.MonkeyPatch, widest: float
 ) -> None:
     """Below 0.4 rad whole ranges have bounds, above it parts of them, which are found without detours."""
-    monkeypatch.setattr(transient, "_together", len)
-    told = _Told(lambda middle: 0.1001 * (1.0 if middle < 0.4 else widest), KERNELS.ratios[-1])
+    monkeypatch.setattr(transient, "_merged", len)
+    told = _Prescribed(lambda middle: 0.1001 * (1.0 if middle < 0.4 else widest), KERNELS.ratios[-1])
     told.ratio = KERNELS.ratios[0]
-    assert told.whole([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) == len(told.proved)
+    assert told.cover([(0.1, 0.1), (0.3, 0.1), (0.5, 0.1)], 3) == len(told.proved)
     ends = sorted((m - h, m + h) for m, h in told.proved)
     assert ends[0][0] == pytest.approx(0.0)
     assert ends[-1][1] == pytest.approx(0.6)
@@ -458,13 +471,13 @@ def test_pieces_of_time_too_coarse_for_single_headings_are_tried_of_no_range(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     coarse, middle, fine = KERNELS.ratios
-    told = _Told(lambda _: np.pi, fine)
-    for name, of in {"Search": lambda *_: told, "Motion": lambda *_: None, "_together": len}.items():
+    told = _Prescribed(lambda _: np.pi, fine)
+    for name, of in {"TubeSearch": lambda *_: told, "PoseLoop": lambda *_: None, "_merged": len}.items():
         monkeypatch.setattr(transient, name, of)
-    monkeypatch.setattr(Problem, "heading_counts", True)
+    monkeypatch.setattr(Problem, "heading_matters", True)
     gains = load_gains("paper-pd", load_vehicle("mini-auv"))
     problem = Problem(replace(gains, schedule=ScheduleTable()))
     assert bounds_in_time(problem, {"x": 0.1}) == 16
     assert told.looked == [(8, coarse), (8, middle), (8, fine), (16, fine)]
-    told.motion.mirrors = True
+    told.motion.mirror_symmetric = True
     assert bounds_in_time(problem, {"x": 0.1}) == 8

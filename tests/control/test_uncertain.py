@@ -11,11 +11,11 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick
-from undertow.control.conditions.by_law import CANDIDATES, IOTA, along_the_loop, in_numbers
+from undertow.control.conditions.by_law import CANDIDATES, IOTA, closed_loop_derivative, numeric_plant
 from undertow.control.conditions.channels import coupled, coupled_roots, zero_dynamics
+from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
-from undertow.control.conditions.whole import certify
 from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.control.linear.systems import close_loop
@@ -105,11 +105,11 @@ STRONG = {
 def loop_of(problem: Problem, iota: float) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
     """V and V_dot by (psi, error, integral, nu), worked out from the model; all parameters forward."""
     law = problem.gains.law
-    s = LawSignals(in_numbers(problem.plant), law)
+    s = LawSignals(numeric_plant(problem.plant), law)
     value = CANDIDATES["pid"].value(s)
     numbers = {**problem.gains.numbers, IOTA: sm.Float(iota)}
     numbers |= {symbol(f"sign_{v}"): sm.Integer(1) for v in problem.plant.nu}
-    pair = [e.xreplace(numbers) for e in (value, along_the_loop(value, law, s))]
+    pair = [e.xreplace(numbers) for e in (value, closed_loop_derivative(value, law, s))]
     names = [symbol("psi"), *s.error, *s.states, *s.plant.nu]
     return cast("Callable[..., tuple[np.ndarray, np.ndarray]]", sm.lambdify(names, pair, "numpy", cse=True))
 

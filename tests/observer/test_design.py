@@ -19,9 +19,9 @@ from undertow.codegen.compiler import find_compiler
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import identifier, slug
 from undertow.control.closed_loop import ClosedLoop, Scenario
-from undertow.control.conditions.whole import observed_loop
+from undertow.control.conditions.full_loop import observed_loop
 from undertow.control.gains import load_gains
-from undertow.control.linear.systems import SettledObserver, close_loop
+from undertow.control.linear.systems import SteadyStateFilter, close_loop
 from undertow.control.linear.trim import find_trim
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
@@ -277,7 +277,7 @@ def test_poles_of_the_loop_are_those_of_the_law_and_of_the_filter() -> None:
     gains = load_gains("paper-pid", vehicle)
     alone = close_loop(vehicle, gains, trim)
     loop = close_loop(vehicle, gains, trim, observer=observer)
-    filter = SettledObserver(observer, trim)
+    filter = SteadyStateFilter(observer, trim)
     of_the_error = np.linalg.eigvals(filter.a - filter.gain @ filter.c)
     both = np.concatenate([np.linalg.eigvals(alone.closed.A), of_the_error])
     found = np.linalg.eigvals(loop.closed.A)
@@ -294,7 +294,7 @@ def test_a_filter_that_settles_has_the_gain_of_the_loop() -> None:
     quick = {n: {"noise": s["noise"], "period": "0.01 s"} for n, s in SENSORS.items()}
     quick["r"]["noise"] = "3 deg/s"  # slow beside the samples
     observer, trim = design(table(sensors=quick), vehicle), find_trim(vehicle)
-    settled = SettledObserver(observer, trim)
+    settled = SteadyStateFilter(observer, trim)
     n, p = 4000, observer.process
     y, variance = np.full((n, 8), np.nan), np.ones(8)
     y[:, list(observer.channels)], variance[list(observer.channels)] = 0.0, observer.variance
@@ -312,7 +312,7 @@ def test_late_reports_leave_the_poles_of_law_and_filter_apart() -> None:
     vehicle = observer.process.vehicle
     gains, trim = load_gains("paper-pid", vehicle), find_trim(vehicle)
     loop = close_loop(vehicle, gains, trim, observer=observer, pade=order)
-    filter = SettledObserver(observer, trim, order)
+    filter = SteadyStateFilter(observer, trim, order)
     of_the_error = np.linalg.eigvals(filter.a - filter.gain @ filter.c)
     of_a_delay = np.linalg.eigvals(ct.ss(ct.tf(*ct.pade(0.3, order))).A)
     on_time = close_loop(load_vehicle("mini-auv"), gains, find_trim(load_vehicle("mini-auv")))
@@ -327,7 +327,7 @@ def test_the_filter_of_late_reports_converges_with_the_order_of_the_approximatio
     sensors = {n: SENSORS[n] for n in ("x", "y", "z", "psi")} | {n: {"noise": "1 cm/s"} for n in ("u", "w")}
     observer = design(table(sensors=sensors), auv(velocity_delay=delay))
     trim, n = find_trim(observer.process.vehicle), observer.process.x.numel()
-    six, eight = (SettledObserver(observer, trim, order).gain[:n] for order in (6, 8))
+    six, eight = (SteadyStateFilter(observer, trim, order).gain[:n] for order in (6, 8))
     np.testing.assert_allclose(six, eight, rtol=1e-4, atol=1e-9)
 
 
@@ -341,7 +341,7 @@ def test_a_settled_filter_of_late_reports_is_as_sure_as_the_one_in_a_loop() -> N
     observer, dt, lag, rows = behind(period="0.02 s"), 0.02, 15, 3000
     observer = replace(observer, period=np.full(6, dt), variance=np.full(6, 1e-2))
     process, trim = observer.process, find_trim(observer.process.vehicle)
-    settled = SettledObserver(observer, trim, 4)
+    settled = SteadyStateFilter(observer, trim, 4)
     noise = np.zeros_like(settled.a)
     noise[process.driven, process.driven] = observer.densities
     noise += dt * settled.gain @ np.diag(observer.variance) @ settled.gain.T

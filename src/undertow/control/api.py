@@ -12,9 +12,9 @@ from undertow.observer.design import load_observer
 from undertow.typing import Progress
 
 from .conditions.check import Uncertain
+from .conditions.full_loop import certify
 from .conditions.problem import Uncertainty
 from .conditions.result import Report
-from .conditions.whole import certify
 from .gains import GainSet, load_gains
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from undertow.model.symbols import FORCE, POSE
 from undertow.model.units import si_of
 
 from .gains import Allocation, GainSet, allocation_of
-from .guidance.reference import Course, Kinematics, Reference
+from .guidance.reference import DesiredMotion, Kinematics, Reference
 from .laws import LawSignals
 
 
@@ -39,56 +39,62 @@ SETTINGS = ControllerSettings()
 
 # --- allocation -------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Sharing:
+class SymbolicAllocation:
     """An allocation as expressions: constants, or symbols whose values the caller has."""
 
     allocation: Allocation  # what it is made of: its zeros and infinite limits are constants in any case
     # acting, weights, limits: shapes (k, m), (m, 1) and (m, 1)
-    acting: ca.SX
+    allocated: ca.SX
     weights: ca.SX
     limits: ca.SX
 
     @classmethod
-    def of(cls, allocation: Allocation) -> Sharing:
+    def of(cls, allocation: Allocation) -> SymbolicAllocation:
         """The numbers of an allocation as constants."""
-        acting = ca.sparsify(ca.SX(ca.DM(allocation.acting)))
-        return cls(allocation, acting, ca.SX(allocation.weights), ca.SX(allocation.limits))
+        allocated = ca.sparsify(ca.SX(ca.DM(allocation.allocated)))
+        return cls(allocation, allocated, ca.SX(allocation.weights), ca.SX(allocation.limits))
 
-    def with_limits(self, found: Mapping[int, ca.SX]) -> Sharing:
+    def with_limits(self, found: Mapping[int, ca.SX]) -> SymbolicAllocation:
         """The same with other limits of some commands, by place."""
         limits = [found.get(i, limit) for i, limit in enumerate(ca.vertsplit(self.limits))]
         return replace(self, limits=ca.vertcat(*limits))
 
     @classmethod
-    def with_names(cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]) -> Sharing:
+    def with_names(
+        cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]
+    ) -> SymbolicAllocation:
         """The same with a symbol for every number that is neither zero nor infinite."""
         named = [
-            [_symbol_or(v, f"{f}_of_{c}", 0.0) for v, c in zip(row, commands, strict=True)]
-            for row, f in zip(allocation.acting, forces, strict=True)
+            [_symbol_unless(v, f"{f}_of_{c}", 0.0) for v, c in zip(row, commands, strict=True)]
+            for row, f in zip(allocation.allocated, forces, strict=True)
         ]
         weights = [ca.SX.sym(f"weight_{c}") for c in commands]
-        limits = [_symbol_or(v, f"limit_{c}", inf) for v, c in zip(allocation.limits, commands, strict=True)]
-        acting = ca.vertcat(*[ca.horzcat(*row) for row in named])
-        return cls(allocation, acting, ca.vertcat(*weights), ca.vertcat(*limits))
+        limits = [
+            _symbol_unless(v, f"limit_{c}", inf) for v, c in zip(allocation.limits, commands, strict=True)
+        ]
+        allocated = ca.vertcat(*[ca.horzcat(*row) for row in named])
+        return cls(allocation, allocated, ca.vertcat(*weights), ca.vertcat(*limits))
 
     def numbers(self) -> list[tuple[ca.SX, float]]:
         """Symbols and their values."""
-        own = self.allocation
-        values = [*own.acting.ravel(order="F"), *own.weights, *own.limits]
-        entries = [e for part in (self.acting, self.weights, self.limits) for e in ca.vertsplit(ca.vec(part))]
+        allocation = self.allocation
+        values = [*allocation.allocated.ravel(order="F"), *allocation.weights, *allocation.limits]
+        entries = [
+            e for part in (self.allocated, self.weights, self.limits) for e in ca.vertsplit(ca.vec(part))
+        ]
         return [(e, float(v)) for e, v in zip(entries, values, strict=True) if e.is_symbolic()]
 
     def unlimited(self, wanted: ca.SX) -> ca.SX:
         """Commands without regard to limits, f = W^-1 B' (B W^-1 B')^-1 tau."""
-        b, cheap = self.acting, 1 / self.weights
-        return cheap * (b.T @ solve_symmetric(b @ ca.diag(cheap) @ b.T, wanted))
+        b, inverse_weights = self.allocated, 1 / self.weights
+        return inverse_weights * (b.T @ solve_symmetric(b @ ca.diag(inverse_weights) @ b.T, wanted))
 
 
-def _symbol_or(value: float, name: str, constant: float) -> ca.SX:
+def _symbol_unless(value: float, name: str, constant: float) -> ca.SX:
     return ca.SX(constant) if value == constant else ca.SX.sym(name)
 
 
-def thruster_commands(sharing: Sharing, force: ca.SX) -> ca.SX:
+def thruster_commands(allocation_symbols: SymbolicAllocation, force: ca.SX) -> ca.SX:
     """Commands for a wanted force in all degrees of freedom, shape (n, 1) to (m, 1).
 
     Without limits f = W^-1 B' (B W^-1 B')^-1 tau, the solution with the least f' W f. With limits the same
@@ -97,45 +103,45 @@ def thruster_commands(sharing: Sharing, force: ca.SX) -> ca.SX:
     their limits, no iteration increases the remaining tau, and within the limits the result is that of the
     pseudo-inverse.
     """
-    allocation = sharing.allocation
+    allocation = allocation_symbols.allocation
     wanted = force[list(allocation.rows)]
-    step = sharing.unlimited(wanted)
+    step = allocation_symbols.unlimited(wanted)
     if not allocation.limited:
         return step
-    b, m, limits = sharing.acting, len(allocation.limits), sharing.limits
+    b, m, limits = allocation_symbols.allocated, len(allocation.limits), allocation_symbols.limits
     commands, free = ca.SX.zeros(m, 1), ca.SX.ones(m, 1)
-    short: ca.SX = ca.SX(1)
+    limited: ca.SX = ca.SX(1)
     for _ in range(int(np.isfinite(allocation.limits).sum()) + 1):
-        ratios = [_room(commands[i], step[i], limits[i]) for i in range(m)]
+        ratios = [_step_fraction(commands[i], step[i], limits[i]) for i in range(m)]
         share = ca.fmin(1, reduce(ca.fmin, ratios))
         commands = ca.fmax(-limits, ca.fmin(limits, commands + share * step))
-        short = short * (share < 1)
+        limited = limited * (share < 1)
         free = free * (ca.vertcat(*ratios) > share)
-        step = short * _step(sharing, b, free, wanted - b @ commands)
+        step = limited * _step(allocation_symbols, b, free, wanted - b @ commands)
     return commands
 
 
-def _room(command: ca.SX, step: ca.SX, limit: ca.SX) -> ca.SX:
+def _step_fraction(command: ca.SX, step: ca.SX, limit: ca.SX) -> ca.SX:
     """Fraction of a step that a command can make before it reaches its limit."""
     if limit.is_constant() and not isfinite(float(limit)):
         return ca.SX(inf)
     return ca.if_else(step == 0, inf, (limit - ca.sign(step) * command) / ca.fabs(step))
 
 
-def _step(sharing: Sharing, b: ca.SX, free: ca.SX, left: ca.SX) -> ca.SX:
+def _step(allocation_symbols: SymbolicAllocation, b: ca.SX, free: ca.SX, remaining: ca.SX) -> ca.SX:
     """Change of the free commands that brings the rest of the force, or as much of it as they can."""
-    k, cheap = len(sharing.allocation.rows), free / sharing.weights
-    gram = b @ ca.diag(cheap) @ b.T
-    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / sharing.weights) @ b.T) / k
-    return cheap * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), left))
+    k, inverse_weights = len(allocation_symbols.allocation.rows), free / allocation_symbols.weights
+    gram = b @ ca.diag(inverse_weights) @ b.T
+    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / allocation_symbols.weights) @ b.T) / k
+    return inverse_weights * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), remaining))
 
 
 GATE = "gate"
 # What waits for the heading, and the motions that the law does not even brake meanwhile.
-_WAITING, _IDLE = ("x", "y"), ("u", "v")
+_GATED, _UNBRAKED = ("x", "y"), ("u", "v")
 
 
-class Numbered(NamedTuple):
+class ParametrisedController(NamedTuple):
     """A controller with its numbers p as an input."""
 
     control: ca.Function  # `(u, s_next, tau) = control(y, r, s, p, dt)`: `Controller.sampled`
@@ -157,29 +163,29 @@ class Controller:
     def __init__(self, gains: GainSet, reference: Reference | None = None) -> None:
         self.gains, self.reference = gains, reference
         self.allocation: Allocation = allocation_of(gains)
-        self._opening = ca.SX(self.gate)
+        self._gate_angle = ca.SX(self.gate)
         self._coordinates = gains.plant.vehicle.pose_names
         self._check_schedule()
         self._numbers = {s: ca.SX(float(v)) for s, v in gains.plant.numbers.items()}
         n, n_states = len(self._coordinates), len(self.state_names)
         self._y, self._r = ca.SX.sym("y", 2 * n), ca.SX.sym("r", len(reference.numbers) if reference else n)
-        followed = len(reference.state_names) if reference else 0
-        self._own, self._passed = ca.SX.sym("s", n_states - 1 - followed), ca.SX.sym(GATE)
-        self._at = ca.SX.sym("at", followed)
+        n_reference = len(reference.state_names) if reference else 0
+        self._law_states, self._gate_state = ca.SX.sym("s", n_states - 1 - n_reference), ca.SX.sym(GATE)
+        self._reference_states = ca.SX.sym("at", n_reference)
         self._k, self._dt = ca.SX.sym("k", len(self.gain_names)), ca.SX.sym("dt")
         named = dict(zip(self.gain_names, ca.vertsplit(self._k), strict=True))
-        self._sharing = Sharing.of(self.allocation).with_limits(
+        self._symbolic = SymbolicAllocation.of(self.allocation).with_limits(
             {i: named[n] for i, n in self._limits.items()}
         )
 
     def _check_schedule(self) -> None:
         missing = [c for c in ("x", "psi") if c not in self._coordinates]
-        if self._by_turns and missing:
+        if self._yaw_first and missing:
             raise UndertowError(
                 f"[schedule] order = 'yaw-first' needs {missing[0]}, which '{self.gains.plant.vehicle.name}' "
                 'does not have: write order = "together"'
             )
-        if self._by_turns and self.reference is not None:
+        if self._yaw_first and self.reference is not None:
             raise UndertowError(
                 "[schedule] order = 'yaw-first' waits for the heading of a set-point, but a mission moves: "
                 'write order = "together" (--order together)'
@@ -217,9 +223,9 @@ class Controller:
 
     def initial_states(self) -> list[float]:
         """Values of s at the start: integrals at zero, the gate closed where there is one."""
-        followed = self.reference.initial_states() if self.reference else []
-        own = len(self.state_names) - 1 - len(followed)
-        return [*[0.0] * own, *followed, 0.0 if self._by_turns else 1.0]
+        reference = self.reference.initial_states() if self.reference else []
+        n_law = len(self.state_names) - 1 - len(reference)
+        return [*[0.0] * n_law, *reference, 0.0 if self._yaw_first else 1.0]
 
     @property
     def mission_numbers(self) -> list[float]:
@@ -237,7 +243,7 @@ class Controller:
         return si_of("[schedule] gate", self.gains.schedule.gate, "rad")
 
     @property
-    def _by_turns(self) -> bool:
+    def _yaw_first(self) -> bool:
         return self.gains.schedule.order == "yaw-first"
 
     # --- functions ----------------------------------------------------------------------------
@@ -252,48 +258,52 @@ class Controller:
     def _sample(self) -> list[ca.SX]:
         """Commands, states of the next sample, and the force asked for."""
         gate = self._gate()
-        commands, rates, force = self._law(gate)
-        at = self._at
+        commands, rates, force = self._law_outputs(gate)
+        at = self._reference_states
         if self.reference is not None:
             at = self.reference.advance(self._r, at, self._kinematics, self._dt)
-        return [commands, ca.vertcat(self._own + self._dt * rates, at, gate), force]
+        return [commands, ca.vertcat(self._law_states + self._dt * rates, at, gate), force]
 
     @cached_property
     def continuous(self) -> ca.Function:
         """`(u, s_dot, tau) = law(y, r, s, k)`: commands and rates in continuous time, the gate as in s."""
-        commands, rates, force = self._law(self._passed)
-        at = ca.SX.ones(self._at.shape)  # the time goes on; a reference that has more is sampled
+        commands, rates, force = self._law_outputs(self._gate_state)
+        at = ca.SX.ones(
+            self._reference_states.shape
+        )  # the time goes on; a reference that has more is sampled
         return self._function("law", [], [commands, ca.vertcat(rates, at, 0), force], ["u", "s_dot", "tau"])
 
-    def numbered(self) -> Numbered:
+    def parametrised(self) -> ParametrisedController:
         """The controller with every number of the files as an input."""
         other, vehicle = copy(self), self.gains.plant.vehicle
         plant = [(s, ca.SX.sym(str(s)), float(v)) for s, v in self.gains.plant.numbers.items()]
         other._numbers = {s: e for s, e, _ in plant}
         rows = [f"tau_{FORCE[vehicle.dof_indices[i]]}" for i in self.allocation.rows]
-        other._sharing = sharing = Sharing.with_names(self.allocation, self.command_names, rows)
-        other._opening = ca.SX.sym(GATE)
+        other._symbolic = allocation_symbols = SymbolicAllocation.with_names(
+            self.allocation, self.command_names, rows
+        )
+        other._gate_angle = ca.SX.sym(GATE)
         gains = [ca.SX.sym(name) for name in self.gain_names]
         known = [
             *zip(gains, self.gain_values(), strict=True),
             *((e, v) for _, e, v in plant),
-            *sharing.numbers(),
-            (other._opening, self.gate),
+            *allocation_symbols.numbers(),
+            (other._gate_angle, self.gate),
         ]
         tau = ca.SX.sym("tau", len(self._coordinates))
         asked = ca.substitute(other._sample(), [self._k], [ca.vertcat(*gains)])
-        results = [ca.densify(o) for o in (*ca.cse(asked), thruster_commands(sharing, tau))]
+        results = [ca.densify(o) for o in (*ca.cse(asked), thruster_commands(allocation_symbols, tau))]
         used = {e.element_hash() for e in ca.symvar(ca.vertcat(*map(ca.vec, results)))}
-        own = [(e, v) for e, v in known if e.element_hash() in used]
-        p = ca.vertcat(*[e for e, _ in own])
-        states = ca.vertcat(self._own, self._at, self._passed)
-        given = [self._y, self._r, states, p, self._dt], results[:3]
-        control = ca.Function("control", *given, ["y", "r", "s", "p", "dt"], ["u", "s_next", "tau"])
+        used_entries = [(e, v) for e, v in known if e.element_hash() in used]
+        p = ca.vertcat(*[e for e, _ in used_entries])
+        states = ca.vertcat(self._law_states, self._reference_states, self._gate_state)
+        signature = [self._y, self._r, states, p, self._dt], results[:3]
+        control = ca.Function("control", *signature, ["y", "r", "s", "p", "dt"], ["u", "s_next", "tau"])
         allocate = ca.Function("allocate", [tau, p], results[3:], ["tau", "p"], ["u"])
-        return Numbered(control, allocate, {e.name(): v for e, v in own})
+        return ParametrisedController(control, allocate, {e.name(): v for e, v in used_entries})
 
     def _function(self, name: str, more: list[ca.SX], outputs: list[ca.SX], names: list[str]) -> ca.Function:
-        states = ca.vertcat(self._own, self._at, self._passed)
+        states = ca.vertcat(self._law_states, self._reference_states, self._gate_state)
         inputs = [self._y, self._r, states, self._k, *more]
         input_names = ["y", "r", "s", "k", *["dt", "m"][: len(more)]]
         return ca.Function(name, inputs, [ca.densify(o) for o in ca.cse(outputs)], input_names, names)
@@ -308,47 +318,47 @@ class Controller:
         return Kinematics(self._coordinates, self._y[:n], self._y[n:], *J)
 
     @cached_property
-    def _course(self) -> Course:
+    def _desired(self) -> DesiredMotion:
         """What is followed: the pose of r, at rest, where there is no reference."""
         if self.reference is None:
             still = ca.SX(len(self._coordinates), 1)
-            return Course(self._r, still, still)
-        return self.reference.course(self._r, self._at, self._kinematics)
+            return DesiredMotion(self._r, still, still)
+        return self.reference.desired(self._r, self._reference_states, self._kinematics)
 
     # --- the law --------------------------------------------------------------------------------
     @cached_property
     def _error(self) -> ca.SX:
         """Desired less reported pose, angles within half a turn."""
         n = len(self._coordinates)
-        named = zip(self._coordinates, ca.vertsplit(self._course.eta_d - self._y[:n]), strict=True)
+        named = zip(self._coordinates, ca.vertsplit(self._desired.eta_d - self._y[:n]), strict=True)
         return ca.vertcat(*[wrapped(e) if POSE.index(c) >= 3 else e for c, e in named])
 
     def _gate(self) -> ca.SX:
         """The latch: once the heading has come within the gate, it stays open."""
-        if not self._by_turns:
+        if not self._yaw_first:
             return ca.SX(1)
         heading = self._error[self._coordinates.index("psi")]
-        return ca.fmax(self._passed, ca.fabs(heading) <= self._opening)
+        return ca.fmax(self._gate_state, ca.fabs(heading) <= self._gate_angle)
 
-    def _open(self, gate: ca.SX, coordinates: tuple[str, ...]) -> ca.SX:
+    def _enabled(self, gate: ca.SX, coordinates: tuple[str, ...]) -> ca.SX:
         """For every coordinate, whether it is driven: those that wait only when the gate is open."""
-        return ca.vertcat(*[gate if self._by_turns and c in _WAITING else ca.SX(1) for c in coordinates])
+        return ca.vertcat(*[gate if self._yaw_first and c in _GATED else ca.SX(1) for c in coordinates])
 
-    def _law(self, gate: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _law_outputs(self, gate: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Commands, rates of the law's states, and the force asked for."""
         law, signals = self.gains.law, self._signals
-        opened = self._open(gate, self._coordinates)
-        open_states = ca.vertcat(*[opened] * len(law.states)) if law.states else ca.SX(0, 1)
-        states = open_states * self._own
-        convert = self._converter(opened * self._error, states, gate)
+        enabled = self._enabled(gate, self._coordinates)
+        open_states = ca.vertcat(*[enabled] * len(law.states)) if law.states else ca.SX(0, 1)
+        states = open_states * self._law_states
+        convert = self._converter(enabled * self._error, states, gate)
         # A force that nothing gives is left out where it is asked for, so that it counts as no limit.
-        force = _only(convert.matrix(law.force(signals)), self.allocation.rows)
-        commands = thruster_commands(self._sharing, force)
+        force = _allocated_only(convert.matrix(law.force(signals)), self.allocation.rows)
+        commands = thruster_commands(self._symbolic, force)
         early = self.gains.schedule.integrators == "start"
-        rates = self._converter(self._error, self._own, ca.SX(1)) if early else convert
-        moving = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
-        moving = moving if early else open_states * moving
-        return commands, self._anti_windup(moving, force, commands, convert), force
+        rates = self._converter(self._error, self._law_states, ca.SX(1)) if early else convert
+        state_rates = rates.matrix(law.rates(signals)) if law.states else ca.SX(0, 1)
+        state_rates = state_rates if early else open_states * state_rates
+        return commands, self._anti_windup(state_rates, force, commands, convert), force
 
     def _anti_windup(self, rates: ca.SX, force: ca.SX, commands: ca.SX, convert: Converter) -> ca.SX:
         """Rates of the law's states, zero for one that would ask for more of what the thrusters lack."""
@@ -356,7 +366,7 @@ class Controller:
         if not (allocation.limited and rates.numel() and self.gains.allocation.anti_windup == "hold"):
             return rates
         rows = list(allocation.rows)
-        lacking = force[rows] - self._sharing.acting @ commands
+        lacking = force[rows] - self._symbolic.allocated @ commands
         short = ca.sumsqr(lacking) > SETTINGS.rounding**2 * ca.sumsqr(force[rows])
         slope = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
         pushes = (slope.T @ lacking) * rates > 0
@@ -371,15 +381,15 @@ class Controller:
         """Symbols of a reference that moves with what they are."""
         if self.reference is None:
             return []
-        signals, course = self._signals, self._course
+        signals, course = self._signals, self._desired
         return [(signals.nu_r, course.nu_r), (signals.nu_r_dot, course.nu_r_dot)]
 
     def _converter(self, error: ca.SX, states: ca.SX, gate: ca.SX) -> Converter:
         plant, signals = self.gains.plant, self._signals
-        idle = self._by_turns and not gate.is_one()
-        unheld = self.reference.unheld if self.reference else ()
+        idle = self._yaw_first and not gate.is_one()
+        uncontrolled = self.reference.uncontrolled if self.reference else ()
         seen = [
-            ca.SX(0) if str(v) in unheld else gate * y if idle and str(v) in _IDLE else y
+            ca.SX(0) if str(v) in uncontrolled else gate * y if idle and str(v) in _UNBRAKED else y
             for v, y in zip([*plant.eta, *plant.nu], ca.vertsplit(self._y), strict=True)
         ]
         gains = [sm.Symbol(name, real=True) for name in self.gain_names]
@@ -396,7 +406,7 @@ class Controller:
         return Converter(known | self._numbers)
 
 
-def _only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
+def _allocated_only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
     """A force with the rows that are not allocated at zero."""
     result = ca.SX(*force.shape)
     for i in rows:

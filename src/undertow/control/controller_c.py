@@ -35,7 +35,7 @@ class _ControllerC:
         self._controller, self._c = controller, c
         self._vehicle = controller.gains.plant.vehicle
         self._name = f"{c.library}_{identifier(slug(controller.gains.name))}"
-        self._numbered = controller.numbered()
+        self._parametrised = controller.parametrised()
         self._structs = {"p": c.struct(f"{self._name}_parameters", self._parameters())}
         if controller.reference is not None:
             mission = [Entry(n.name, n.unit, n.value) for n in controller.reference.numbers]
@@ -44,21 +44,21 @@ class _ControllerC:
     def part(self) -> Part:
         gains = self._controller.gains
         what = f"controller {comment(gains.name)}, law {gains.law.id}"
-        return Part(what, self._notes(), self._declared(), self._defined(), self._example())
+        return Part(what, self._notes(), self._declarations(), self._definitions(), self._example())
 
     def _parameters(self) -> list[Entry]:
         law, pose = type(self._controller.gains.law), self._vehicle.pose_names
         units = {str(g.symbol(coordinate)): g.unit(coordinate) for g in law.gains for coordinate in pose}
         units |= {p.name: p.unit for p in self._vehicle.declared_parameters.values()}
-        return [Entry(n, units.get(n, ""), v) for n, v in self._numbered.values.items()]
+        return [Entry(n, units.get(n, ""), v) for n, v in self._parametrised.values.items()]
 
     def _notes(self) -> dict[str, list[Entry]]:
         pose, velocity = self._vehicle.pose_names, self._vehicle.velocity_names
         commands = self._controller.command_names
-        wanted = {} if "r" in self._structs else {"r, desired pose": [Entry(n, UNITS[n]) for n in pose]}
+        desired = {} if "r" in self._structs else {"r, desired pose": [Entry(n, UNITS[n]) for n in pose]}
         return {
             "y, what the sensors report": [Entry(n, UNITS[n]) for n in (*pose, *velocity)],
-            **wanted,
+            **desired,
             "s, states of the controller": [Entry(n, "") for n in self._controller.state_names],
             "u, commands, to be held until the next step": [
                 Entry(n, UNITS.get(n, "command")) for n in commands
@@ -69,7 +69,7 @@ class _ControllerC:
         }
 
     @property
-    def _plane(self) -> bool:
+    def _has_heading_rule(self) -> bool:
         return {"x", "y", "psi"} <= set(self._vehicle.pose_names) and "r" not in self._structs
 
     @property
@@ -78,8 +78,8 @@ class _ControllerC:
         words = {"REAL": self._c.real, "LOWER": self._name, "CALL": self._c.call}
         return filled(f"{_HEADING} {{\n{rule}\n}}\n", words)
 
-    def _declared(self) -> list[str]:
-        name, c, f = self._name, self._c, self._numbered
+    def _declarations(self) -> list[str]:
+        name, c, f = self._name, self._c, self._parametrised
         counts = {"REPORTS": 2 * len(self._vehicle.dof_indices), "STATES": len(self._controller.state_names)}
         counts |= {"COMMANDS": f.control.numel_out("u"), "FORCES": f.control.numel_out("tau")}
         sizes = ", ".join(f"{name.upper()}_{what} = {size}" for what, size in counts.items())
@@ -91,40 +91,40 @@ class _ControllerC:
             "/* One sample: commands u, states after dt seconds (s_next may be s) and force tau. */",
             c.head(f.control, f"{name}_step", self._structs),
             "\n/* Commands of a wanted force alone. */",
-            c.head(f.allocate, f"{name}_allocate", self._only("p")),
+            c.head(f.allocate, f"{name}_allocate", self._struct("p")),
             "",
         ]
-        if self._plane:
+        if self._has_heading_rule:
             heading = self._heading
             lines += ["/* Desired heading from where the vehicle begins to the set-point, rad. */"]
             lines += [heading[: heading.index(" {\n")] + ";\n"]
         return lines
 
-    def _only(self, name: str) -> dict[str, Struct]:
+    def _struct(self, name: str) -> dict[str, Struct]:
         return {name: self._structs[name]}
 
-    def _defined(self) -> list[str]:
-        name, c, f = self._name, self._c, self._numbered
+    def _definitions(self) -> list[str]:
+        name, c, f = self._name, self._c, self._parametrised
         start = enumerate(self._controller.initial_states())
         states = "\n".join(f"  s[{i}] = {c.constant(value)};" for i, value in start)
         lines = [
             *(struct.defined for struct in self._structs.values()),
             f"void {name}_start({c.real} *s) {{\n{states}\n}}\n",
             c.body(f.control, f"{name}_step", self._structs),
-            c.body(f.allocate, f"{name}_allocate", self._only("p")),
+            c.body(f.allocate, f"{name}_allocate", self._struct("p")),
         ]
-        return [*lines, self._heading] if self._plane else lines
+        return [*lines, self._heading] if self._has_heading_rule else lines
 
     def _example(self) -> str:
         n, upper, real, c = self._name, self._name.upper(), self._c.real, self._c
-        wanted = f"const {n}_mission r = {n}_mission_default;"
+        desired = f"const {n}_mission r = {n}_mission_default;"
         given = "&r"
         if "r" not in self._structs:
-            wanted = f"const {real} r[{len(self._vehicle.dof_indices)}] = {{{c.constant(1)}}};"
+            desired = f"const {real} r[{len(self._vehicle.dof_indices)}] = {{{c.constant(1)}}};"
             given = "r"
         return f"""\
   const {n}_parameters p = {n}_parameters_default; /* change what differs on your vehicle */
-  {wanted}
+  {desired}
   const {real} y[{upper}_REPORTS] = {{0}};
   {real} s[{upper}_STATES], u[{upper}_COMMANDS], tau[{upper}_FORCES];
   {n}_start(s);

@@ -146,7 +146,7 @@ def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
     plant = Plant(vehicle, _speed(table.allocation))
     _check_axes(table, plant, bool(vehicle.surfaces) or WITH_MOTION in plant.left_out.values())
     values: dict[str, float] = {}
-    for gain in _declared(table, type(law)):
+    for gain in _gain_matrices(table, type(law)):
         values |= _values(gain, table.gains[gain.name], vehicle, table.unactuated)
     _check_thrusters(table.allocation, vehicle)
     return GainSet(table.name, law, plant, values, tuple(table.unactuated), table.schedule, table.allocation)
@@ -164,7 +164,7 @@ def _speed(allocation: AllocationTable) -> float:
 
 
 # --- gains ------------------------------------------------------------------------------------
-def _declared(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
+def _gain_matrices(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
     known = [g.name for g in law.gains]
     for name in table.gains:
         if name not in known:
@@ -182,12 +182,12 @@ def _declared(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
 
 def _values(gain: GainMatrix, stated: Diagonal, vehicle: Vehicle, unactuated: list[str]) -> dict[str, float]:
     coordinates = vehicle.pose_names
-    given = _by_coordinate(gain, stated, coordinates)
+    by_coordinate = _by_coordinate(gain, stated, coordinates)
     values = {}
     for coordinate, dof in zip(coordinates, vehicle.degrees_of_freedom, strict=True):
         name = str(gain.symbol(coordinate))
-        if coordinate in given:
-            values[name] = _number(gain, coordinate, given[coordinate])
+        if coordinate in by_coordinate:
+            values[name] = _gain_value(gain, coordinate, by_coordinate[coordinate])
         elif dof in unactuated:
             values[name] = 0.0
         else:
@@ -217,7 +217,7 @@ def _by_coordinate(gain: GainMatrix, stated: Diagonal, coordinates: tuple[str, .
     return dict(stated)
 
 
-def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
+def _gain_value(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
     value = si_of(f"gain {gain.name} for {coordinate}", stated, gain.unit(coordinate))
     if value <= 0:
         raise UndertowError(
@@ -237,22 +237,22 @@ def _number(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
 def _check_axes(table: GainTable, plant: Plant, steered: bool) -> None:
     """Refuse a law that needs forces which no thruster gives, unless the file declares them unactuated."""
     vehicle = plant.vehicle
-    silent = [vehicle.degrees_of_freedom[i] for i in plant.unactuated]
-    missing = [d for d in silent if d not in table.unactuated]
+    unactuated = [vehicle.degrees_of_freedom[i] for i in plant.unactuated]
+    missing = [d for d in unactuated if d not in table.unactuated]
     if missing:
         idle = steered and not plant.speed
         remedy = "state [allocation] speed, at which surfaces steer" if idle else "add a thruster"
         remedy = remedy_for_curves(vehicle) or remedy
         raise UndertowError(
             f"law '{table.law}' needs a force in {', '.join(missing)}, which no thruster of "
-            f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(silent)} to do without "
+            f"'{vehicle.name}' gives: {remedy}, or write unactuated = {json.dumps(unactuated)} to do without "
             "that force"
         )
-    odd = [d for d in table.unactuated if d not in silent and not _dependent(d, table, plant)]
-    if odd:
+    unexpected = [d for d in table.unactuated if d not in unactuated and not _dependent(d, table, plant)]
+    if unexpected:
         raise UndertowError(
-            f"unactuated names {', '.join(odd)}, which '{vehicle.name}' "
-            f"{'can push in' if odd[0] in vehicle.degrees_of_freedom else 'does not have'}: remove it"
+            f"unactuated names {', '.join(unexpected)}, which '{vehicle.name}' "
+            f"{'can push in' if unexpected[0] in vehicle.degrees_of_freedom else 'does not have'}: remove it"
         )
 
 
@@ -275,9 +275,9 @@ def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
                 f"{', '.join(known) or 'none'}"
             )
     low, high = LIMITS.weights
-    odd = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
-    if odd:
-        name, weight = odd[0]
+    unexpected = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
+    if unexpected:
+        name, weight = unexpected[0]
         raise UndertowError(
             f"weight of thruster '{name}' is {weight:g}: give one above zero, from {low:g} to {high:g}"
         )
@@ -299,31 +299,31 @@ class Allocation:
         return bool(np.isfinite(self.limits).any())
 
     @property
-    def acting(self) -> np.ndarray:
+    def allocated(self) -> np.ndarray:
         """Rows of the matrix that are allocated, shape (k, m)."""
         return self.matrix[list(self.rows)]
 
     @property
     def pseudo_inverse(self) -> np.ndarray:
         """Commands of a unit of each allocated force without limits, shape (m, k)."""
-        b, cheap = self.acting, 1 / self.weights[:, None]
-        inverse = cheap * b.T @ np.linalg.inv(b @ (cheap * b.T))
+        b, inverse_weights = self.allocated, 1 / self.weights[:, None]
+        inverse = inverse_weights * b.T @ np.linalg.inv(b @ (inverse_weights * b.T))
         return np.where(np.abs(inverse) < 1e-14 * np.abs(inverse).max(), 0.0, inverse)
 
     @property
-    def share(self) -> np.ndarray:
+    def force_to_commands(self) -> np.ndarray:
         """The same for the forces in all degrees of freedom, shape (m, n)."""
-        share = np.zeros(self.matrix.T.shape)
-        share[:, list(self.rows)] = self.pseudo_inverse
-        return share
+        force_to_commands = np.zeros(self.matrix.T.shape)
+        force_to_commands[:, list(self.rows)] = self.pseudo_inverse
+        return force_to_commands
 
     @property
-    def given(self) -> np.ndarray:
+    def achieved(self) -> np.ndarray:
         """Force that the thrusters give, without limits, for a unit of each wanted one, shape (n, n).
 
         The identity in the rows that are allocated; what is left out may be pushed along with them.
         """
-        return self.matrix @ self.share
+        return self.matrix @ self.force_to_commands
 
 
 def allocation_of(gains: GainSet) -> Allocation:

@@ -154,18 +154,18 @@ class _Sliding(Law):
     """
 
     @abc.abstractmethod
-    def reach(self, s: LawSignals) -> sm.Matrix:
+    def reaching_rate(self, s: LawSignals) -> sm.Matrix:
         """How fast S is driven to zero, shape (n, 1), m/s^2 and rad/s^2."""
 
     def force(self, s: LawSignals) -> sm.Matrix:
         plant = s.plant
-        wanted = self.reach(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
-        wanted += (plant.J_dot + s.Lambda * plant.J) * s.nu_r
-        acceleration = plant.J_inverse * wanted + s.nu_r_dot
-        return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
+        surface_rate = self.reaching_rate(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
+        surface_rate += (plant.J_dot + s.Lambda * plant.J) * s.nu_r
+        surface_rate = plant.J_inverse * surface_rate + s.nu_r_dot
+        return plant.M * surface_rate + (plant.C + plant.D) * plant.nu + plant.g
 
 
-def _errors(sizes: Sequence[sm.Expr], s: LawSignals) -> sm.Matrix:
+def _errors_at_rest(sizes: Sequence[sm.Expr], s: LawSignals) -> sm.Matrix:
     """Errors at rest, where S = Lambda error, of these sizes of S."""
     return sm.Matrix([size / a if a else a for size, a in zip(sizes, s.Lambda.diagonal(), strict=True)])
 
@@ -177,12 +177,12 @@ class SlidingMode(_Sliding):
     reference = "mini-AUV paper (2021), (34) to (37); its explicit law follows from (9)"
     gains = (K_Z, LAMBDA)
 
-    def reach(self, s: LawSignals) -> sm.Matrix:
+    def reaching_rate(self, s: LawSignals) -> sm.Matrix:
         return s.K_Z * sliding_surface(s).applyfunc(sm.sign)
 
     def offset(self, s: LawSignals) -> sm.Matrix:
         # A sample takes S at most K_Z dt past zero.
-        return _errors(s.K_Z.diagonal(), s)
+        return _errors_at_rest(s.K_Z.diagonal(), s)
 
 
 class BoundaryLayer(_Sliding):
@@ -192,7 +192,7 @@ class BoundaryLayer(_Sliding):
     reference = "Slotine and Li (1991), Applied Nonlinear Control, chapter 7 (boundary layer)"
     gains = (K_Z, LAMBDA, GainMatrix("width", "m/s", "rad/s", "half the thickness of the layer around S = 0"))
 
-    def reach(self, s: LawSignals) -> sm.Matrix:
+    def reaching_rate(self, s: LawSignals) -> sm.Matrix:
         inside = s.width.inv() * sliding_surface(s)
         return s.K_Z * inside.applyfunc(lambda e: sm.Max(-1, sm.Min(1, e)))
 
@@ -210,7 +210,7 @@ class SuperTwisting(_Sliding):
     states = ("twist",)
     offset_order = 2
 
-    def reach(self, s: LawSignals) -> sm.Matrix:
+    def reaching_rate(self, s: LawSignals) -> sm.Matrix:
         root = sliding_surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)) * sm.sign(e))
         return s.K_1 * root + s.states
 
@@ -222,9 +222,9 @@ class SuperTwisting(_Sliding):
         # takes K_1 K_2 |S|^(1/2) dt of K_2 |S| + twist^2 / 2, to which the sampled sign adds K_2^2 dt^2 / 2:
         # balance is where |S|^(1/2) is of the order of K_2 dt / K_1. Both: (K_1 + K_2 / K_1)^2 dt^2.
         pairs = zip(s.K_1.diagonal(), s.K_2.diagonal(), strict=True)
-        return _errors([(k_1 + k_2 / k_1) ** 2 for k_1, k_2 in pairs], s)
+        return _errors_at_rest([(k_1 + k_2 / k_1) ** 2 for k_1, k_2 in pairs], s)
 
 
-JUMPING = {"sliding-mode": "K_Z", "super-twisting": "K_1"}
+DISCONTINUOUS = {"sliding-mode": "K_Z", "super-twisting": "K_1"}
 """Laws that are discontinuous at their set-point, and so not linearisable there, with the driving gain."""
 LAWS: dict[str, type[Law]] = {cls.id: cls for cls in (PD, PID, SlidingMode, BoundaryLayer, SuperTwisting)}

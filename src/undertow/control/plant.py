@@ -42,7 +42,7 @@ class Plant:
         self._mass, self._damping, self._moving = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
         self._static, self._inputs = sm.zeros(n, 1), sm.zeros(n, len(self.inputs))
         for effect, wrench in self._composition.wrenches.items():
-            self._sort(effect, wrench.xreplace(self._unstated))
+            self._assign(effect, wrench.xreplace(self._unstated))
 
     # --- symbols ------------------------------------------------------------------------------
     @property
@@ -169,31 +169,31 @@ class Plant:
         found = {a.args[0] for m in switched for a in m.atoms(sm.sign)}
         return tuple(v for v in self.nu if v in found)
 
-    def one_way(self, expression: sm.Matrix, way: Mapping[sm.Symbol, int]) -> sm.Matrix:
-        """An expression with the set of parameters of one direction, `way` from `reversing` to 1 or -1."""
-        return expression.xreplace({sm.sign(v): sm.Integer(s) for v, s in way.items()})
+    def with_signs(self, expression: sm.Matrix, signs: Mapping[sm.Symbol, int]) -> sm.Matrix:
+        """An expression with the set of parameters of one direction, `signs` from `reversing` to 1 or -1."""
+        return expression.xreplace({sm.sign(v): sm.Integer(s) for v, s in signs.items()})
 
     # --- sorting ------------------------------------------------------------------------------
-    def _sort(self, effect: Wrench, wrench: sm.Matrix) -> None:
-        pushed = self._slope_in_inputs(wrench)
-        reason = self._misfit(effect, wrench, pushed)
+    def _assign(self, effect: Wrench, wrench: sm.Matrix) -> None:
+        by_input = self._slope_in_inputs(wrench)
+        reason = self._reason_left_out(effect, wrench, by_input)
         if reason:
             self.left_out[effect.id] = reason
             if self.speed and reason == WITH_MOTION:
-                self._inputs += self._at_speed(pushed)
+                self._inputs += self._allocation_at_speed(by_input)
                 self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
         at_rest = dict.fromkeys([*accelerations, *self.inputs], _ZERO)
-        own = wrench.xreplace(at_rest)
-        static = own.xreplace(dict.fromkeys(self.nu, _ZERO))
-        moving = sm.Matrix(own - static)
+        unforced = wrench.xreplace(at_rest)
+        static = unforced.xreplace(dict.fromkeys(self.nu, _ZERO))
+        moving = sm.Matrix(unforced - static)
         damping = sm.zeros(*self.M.shape) if effect.workless else _damping(moving, self.nu)
         if damping is None:
             self.left_out[effect.id] = "its force is no matrix times the velocity"
             return
         self._mass -= wrench.jacobian(accelerations)
-        self._inputs += pushed
+        self._inputs += by_input
         self._static -= static
         self._damping += damping
         if effect.workless:
@@ -203,18 +203,18 @@ class Plant:
         """Derivative in the inputs, of which there may be none."""
         return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
 
-    def _at_speed(self, slope: sm.Matrix) -> sm.Matrix:
+    def _allocation_at_speed(self, slope: sm.Matrix) -> sm.Matrix:
         """An allocation at the speed ahead, on an even keel, inputs at zero."""
         still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
         return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
-    def _misfit(self, effect: Wrench, wrench: sm.Matrix, pushed: sm.Matrix) -> str:
+    def _reason_left_out(self, effect: Wrench, wrench: sm.Matrix, by_input: sm.Matrix) -> str:
         """Why a wrench does not fit into the matrices, or nothing."""
         if wrench.free_symbols & set(effect.state_symbols):
             return "it has states of its own"
         if wrench.has(self._composition.signals.t):
             return "it depends on time"
-        if pushed.free_symbols & {*self.nu, *self.eta, *self.inputs}:
+        if by_input.free_symbols & {*self.nu, *self.eta, *self.inputs}:
             return WITH_MOTION
         return ""
 
@@ -233,11 +233,11 @@ def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
 
 def remedy_for_curves(vehicle: Vehicle) -> str:
     """What to do with thrusters whose thrust is not proportional to the command; empty if there are none."""
-    bent = [t for t in vehicle.thrusters if t.law is not None]
-    if not bent:
+    nonlinear = [t for t in vehicle.thrusters if t.law is not None]
+    if not nonlinear:
         return ""
     return (
-        f"thrust of {', '.join(t.name for t in bent)} is not proportional to the command (curve, "
+        f"thrust of {', '.join(t.name for t in nonlinear)} is not proportional to the command (curve, "
         "revolutions): laws command newtons, so in a copy of the vehicle file give these thrusters a limit "
         "in N instead, that of the weaker direction (the exported C has the inverse of a curve)"
     )
@@ -251,15 +251,17 @@ def _inverse(block: sm.ImmutableMatrix) -> sm.Matrix:
 
 def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> Vehicle:
     """The vehicle without logged inputs and, without a speed, without control surfaces."""
-    idle = () if speed else vehicle.surfaces
-    if not idle and not vehicle.inputs:
+    left_surfaces = () if speed else vehicle.surfaces
+    if not left_surfaces and not vehicle.inputs:
         return vehicle
     reason = "it stays at zero: laws command surfaces only at a forward speed ([allocation] speed)"
-    left_out |= {s.name: reason for s in idle}
+    left_out |= {s.name: reason for s in left_surfaces}
     left_out |= {name: "an input from the log: laws take it as zero" for name in vehicle.inputs}
-    kept = tuple(e for e in vehicle.effects if not idle or ControlSurfaces.id not in e.requires)
-    alone = replace(vehicle, effects=kept, surfaces=() if idle else vehicle.surfaces, inputs={})
-    return alone.with_values({n: Value(0.0) for n in vehicle.inputs if n in alone.declared_parameters})
+    kept = tuple(e for e in vehicle.effects if not left_surfaces or ControlSurfaces.id not in e.requires)
+    commanded = replace(vehicle, effects=kept, surfaces=() if left_surfaces else vehicle.surfaces, inputs={})
+    return commanded.with_values(
+        {n: Value(0.0) for n in vehicle.inputs if n in commanded.declared_parameters}
+    )
 
 
 def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:

@@ -19,7 +19,7 @@ from undertow.observer.design import Design
 from undertow.observer.observer_c import observer_c
 from undertow.typing import Progress
 
-from .conditions.whole import verdicts
+from .conditions.full_loop import verdicts
 from .controller import Controller
 from .controller_c import controller_c
 from .gains import GainSet, load_gains
@@ -83,7 +83,7 @@ def update(
 
     with as_input_error():
         sets = {name: load_gains(name, vehicle) for name in gains}
-        _check_apart(gains)
+        _check_names(gains)
         library = library_of(vehicle, list(sets.values()))
         assert library.texts  # what cannot be stated in C is refused before anything is written
         progress(0.3, "eigenvalues, margins and conditions")
@@ -110,24 +110,21 @@ def library_of(
     return Library(vehicle, [*parts, *((d.name, partial(observer_c, d)) for d in observers)])
 
 
-def _check_apart(gains: Sequence[str]) -> None:
+def _check_names(gains: Sequence[str]) -> None:
     """Refuse gain files whose pictures would be written over others, or over those of the vehicle."""
     owners = {_OWN: "the vehicle"}
     for name in gains:
-        place = Path(name).stem
-        owner = owners.setdefault(place.lower(), name)
+        stem = Path(name).stem
+        owner = owners.setdefault(stem.lower(), name)
         if owner != name:
             raise UndertowError(
-                f"gain file {name} would have the name of pictures '{place}', which is that of {owner}: "
+                f"gain file {name} would have the name of pictures '{stem}', which is that of {owner}: "
                 "give the file another name"
             )
 
 
 def _pictures(
-    vehicle: Vehicle,
-    gains: Mapping[str, GainSet],
-    at: Mapping[str, float] | None,
-    new: Snapshot,
+    vehicle: Vehicle, gains: Mapping[str, GainSet], at: Mapping[str, float] | None, new: Snapshot
 ) -> dict[str, Figure]:
     """Plots by file name, of systems that can be linearised."""
     from .linear.pictures import picture

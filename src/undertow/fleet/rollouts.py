@@ -84,10 +84,10 @@ class Band:
 def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
     """Parameters drawn from the uncertainty of a fit, shape (count, n_parameters), and its source."""
     from undertow.codegen.functions import Functions
-    from undertow.control.linear.family import spread_of
+    from undertow.control.linear.family import parameter_covariance
 
     vehicle = load_vehicle(source, effect_files=[Path(f) for f in effects])
-    spread = spread_of(vehicle, source)
+    spread = parameter_covariance(vehicle, source)
     model = WeakModel(Functions(vehicle), spread.names)
     places = list(model.places)
     low, high = np.array([vehicle.declaration(n).bounds for n in spread.names]).T
@@ -139,10 +139,10 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
 def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
     """Which rollouts stay what a vehicle in water can do, shape (count,); of paths (count, k, 2n) of pose and
     velocities."""
-    from undertow.control.closed_loop.measures import CREDIBLE
+    from undertow.control.closed_loop.measures import PLAUSIBLE
 
     start = paths[:, 0, : paths.shape[2] // 2]
-    return np.asarray(~CREDIBLE.broken(paths, start, t - t[0]).any(axis=(1, 2)))
+    return np.asarray(~PLAUSIBLE.implausible(paths, start, t - t[0]).any(axis=(1, 2)))
 
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:

@@ -66,7 +66,7 @@ class _Equations:
 
     def forward(self, matrix: sm.Matrix) -> sm.Matrix:
         """An expression of the forward set with the paper's names and signs."""
-        one = self.plant.one_way(matrix, dict.fromkeys(self.plant.reversing, 1))
+        one = self.plant.with_signs(matrix, dict.fromkeys(self.plant.reversing, 1))
         sides = self.vehicle.sides.items()
         names = {symbol(n): symbol(p.name) for n, (p, way) in sides if way == "forward"}
         return one.xreplace(names).xreplace({a: -a for a in self.added}).applyfunc(sm.expand)

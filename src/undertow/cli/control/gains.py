@@ -63,7 +63,7 @@ from .._terminal import console, print_json, progress, say, section, table, text
 if TYPE_CHECKING:
     from undertow.control.conditions.check import Uncertain
     from undertow.control.conditions.repair import Repair, SingleRepair
-    from undertow.control.conditions.result import Channel, Report, Row, WholeLoop
+    from undertow.control.conditions.result import Channel, FullLoop, Report, Row
     from undertow.control.conditions.tracking import MissionReport
 
 
@@ -540,7 +540,7 @@ def _show_rest(report: Report) -> None:
         say("  conditions and certified region are for true states, not for estimates", "dim")
 
 
-def _whole(whole: WholeLoop) -> str:
+def _whole(whole: FullLoop) -> str:
     if whole.pole is None or whole.verdict not in ("stable", "unstable"):
         return whole.text
     verdict = "stable" if whole.stable else "UNSTABLE"

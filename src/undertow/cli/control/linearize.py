@@ -51,7 +51,7 @@ from .._options import (
 from .._terminal import print_json, progress, say, section, table
 
 if TYPE_CHECKING:
-    from undertow.control.linear.analysis import Margins, Mode, Reach
+    from undertow.control.linear.analysis import Margins, Mode, Subspace
     from undertow.control.linear.family import Family
     from undertow.control.linear.report import Analysis, Channel
     from undertow.model.vehicle import Vehicle
@@ -63,10 +63,7 @@ _FREE = typer.Option(
     help="Let it vary: u, v (need not hover), r (may turn), w (may rise or sink), z (depth is found).",
 )
 DIRECTION = typer.Option(
-    "--direction",
-    metavar="NAME=1|-1",
-    help="Direction whose parameters are used at rest.",
-    show_default="1",
+    "--direction", metavar="NAME=1|-1", help="Direction whose parameters are used at rest.", show_default="1"
 )
 _GAINS = typer.Option(metavar="GAINS", help="Gain file, or name of a bundled one; closes the loop.")
 _OBSERVER = typer.Option(metavar="FILE", help="Observer file; the control law uses its estimate.")
@@ -126,7 +123,7 @@ def linearize(
             seed=seed,
             progress=report,
         )
-        channels = found.chosen(input, output)
+        channels = found.select_channels(input, output)
         content = found.content(channels)  # all of it, before the first line is printed
         if plot:
             from undertow.control.linear.pictures import picture
@@ -207,13 +204,13 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
         say(f"  {line}", "yellow")
     section("Zeros", _zeros(channels, "z" if found.dt else "rad/s"))
     section(_MARGINS[bool(found.gains)], _margins(found.margins(channels)))
-    if found.disk_of_all is not None:
-        say(f"  all forces at once: disk {found.disk_of_all:.4g}")
+    if found.multiloop_disk is not None:
+        say(f"  all forces at once: disk {found.multiloop_disk:.4g}")
     section("Controllability and observability")
     for line in [*_reached(found.controllability, *_MOVED), *_reached(found.observability, *_SEEN)]:
         say(f"  {line}")
     if found.family:
-        section(f"Family from {found.family.spread.source}", _family(found.family))
+        section(f"Family from {found.family.uncertainty.source}", _family(found.family))
 
 
 _MARGINS = {
@@ -295,7 +292,7 @@ def _number(value: float, form: str, otherwise: str = "any") -> str:
     return form.format(value) if isfinite(value) else otherwise
 
 
-def _reached(reach: Reach, does: str, does_not: str, mixed: str) -> list[str]:
+def _reached(reach: Subspace, does: str, does_not: str, mixed: str) -> list[str]:
     lines = [f"{does} {reach.rank} of {reach.of} state directions"]
     if reach.missing:
         lines.append(f"{does_not} {', '.join(reach.missing)}")

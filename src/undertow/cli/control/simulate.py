@@ -57,7 +57,7 @@ from .._options import (
 from .._terminal import progress, section, table
 
 if TYPE_CHECKING:
-    from undertow.control.closed_loop import Choices, LoopResult, Push, Record, Scenario
+    from undertow.control.closed_loop import LoopResult, Overrides, Push, Record, Scenario
     from undertow.control.closed_loop.measures import CoordinateResult, Cycle
     from undertow.control.closed_loop.record import FollowedError, FollowedResult
     from undertow.control.guidance.mission import Mission
@@ -106,13 +106,13 @@ class ScheduleOptions:
     sway: Annotated[Literal["actuated", "unactuated"] | None, _SWAY] = None
     current: CurrentOption = None
 
-    def choices(self) -> Choices:
+    def overrides(self) -> Overrides:
         """The same for a closed loop; a gate without a unit is in rad."""
-        from undertow.control.closed_loop import Choices
+        from undertow.control.closed_loop import Overrides
 
         water = None if self.current is None else current_of(self.current)
         gate = None if self.gate is None else f"{in_si('--gate', self.gate, 'rad')!r} rad"
-        return Choices(self.order, self.heading, self.integrators, gate, self.sway, water)
+        return Overrides(self.order, self.heading, self.integrators, gate, self.sway, water)
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ def simulate(
     json: JsonFileOption = None,
     effects: EffectsOption = None,
 ) -> int:
-    from undertow.control.closed_loop.simulate import simulate_all
-    from undertow.control.closed_loop.simulate import without as left_out
+    from undertow.control.closed_loop.simulate import simulate_each
+    from undertow.control.closed_loop.simulate import without_effects as left_out
     from undertow.files import check_folder, check_writable
     from undertow.model.loading import load_vehicle
 
@@ -188,21 +188,21 @@ def simulate(
     check_writable(out, states, json, inputs=[vehicle, *gains, *more, *(effects or [])])
     if figures is not None:
         check_folder(figures)
-    mission, choices = scenario_options.mission(), schedule.choices()
+    mission, overrides = scenario_options.mission(), schedule.overrides()
     if mission is None:
         scenario = scenario_options.scenario()
     known = left_out(load_vehicle(vehicle, effect_files=effects or []), without or [])
     if mission is None:
         _remark_turns("--to", scenario.pose(scenario.to, known.pose_names, "set-point"), scenario.to)
     else:
-        scenario = scenario_options.scenario(mission.lasts(known.pose_names))
+        scenario = scenario_options.scenario(mission.simulation_time(known.pose_names))
     moving = load_vehicle(plant, effect_files=effects or []) if plant else None
     with progress("simulating", total=len(gains) * scenario.duration) as report:
-        records = simulate_all(
+        records = simulate_each(
             known,
             gains,
             scenario,
-            choices,
+            overrides,
             plant=moving,
             mission=mission,
             observer=observer,
@@ -247,11 +247,7 @@ def _remark_turns(option: str, pose: dict[str, float], stated: Sequence[str | fl
 
 
 def _write(
-    records: Sequence[Record],
-    out: Path | None,
-    states: Path | None,
-    figures: Path | None,
-    json: Path | None,
+    records: Sequence[Record], out: Path | None, states: Path | None, figures: Path | None, json: Path | None
 ) -> None:
     """Write the log, the true states, the result and the pictures that are asked for."""
     from undertow.files import together, write_whole

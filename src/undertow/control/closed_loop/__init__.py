@@ -2,6 +2,6 @@
 
 from .record import LoopResult, Record
 from .scenario import Push, Scenario
-from .simulate import Choices, ClosedLoop, Runs, without
+from .simulate import ClosedLoop, Overrides, Runs, without_effects
 
-__all__ = ["Choices", "ClosedLoop", "LoopResult", "Push", "Record", "Runs", "Scenario", "without"]
+__all__ = ["ClosedLoop", "LoopResult", "Overrides", "Push", "Record", "Runs", "Scenario", "without_effects"]

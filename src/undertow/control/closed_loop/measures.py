@@ -49,39 +49,39 @@ def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
     if len(rising) <= _FEWEST:
         return None
     times = t[rising] - swing[rising] * (t[rising + 1] - t[rising]) / (swing[rising + 1] - swing[rising])
-    heights = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
-    return _judged(np.diff(times), heights, least)
+    amplitudes = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
+    return _cycle_of(np.diff(times), amplitudes, least)
 
 
-def _judged(periods: np.ndarray, heights: np.ndarray, least: float) -> Cycle | None:
+def _cycle_of(periods: np.ndarray, amplitudes: np.ndarray, least: float) -> Cycle | None:
     spread = float(periods.std())
-    if heights[-1] < least or spread > _REGULAR * periods.mean():
+    if amplitudes[-1] < least or spread > _REGULAR * periods.mean():
         return None
-    growth = (heights[-1] / heights[0]) ** (1 / (len(heights) - 1)) - 1
+    growth = (amplitudes[-1] / amplitudes[0]) ** (1 / (len(amplitudes) - 1)) - 1
     kind: Literal["limit cycle", "growing", "decaying"] = "growing" if growth > 0 else "decaying"
     if abs(growth) < _STEADY:
         kind = "limit cycle"
-    return Cycle(kind, float(heights[-2:].mean()), float(periods.mean()), spread, len(periods))
+    return Cycle(kind, float(amplitudes[-2:].mean()), float(periods.mean()), spread, len(periods))
 
 
-def _rising(swing: np.ndarray, dead: float) -> np.ndarray:
+def _rising(swing: np.ndarray, threshold: float) -> np.ndarray:
     """Last samples before upward zero crossings, one for each time the signal has been well below zero."""
-    side = np.where(swing > dead, 1, np.where(swing < -dead, -1, 0))
+    side = np.where(swing > threshold, 1, np.where(swing < -threshold, -1, 0))
     marks = np.flatnonzero(side)
-    turns = marks[1:][(side[marks[1:]] > 0) & (side[marks[:-1]] < 0)]
+    upward = marks[1:][(side[marks[1:]] > 0) & (side[marks[:-1]] < 0)]
     below = np.flatnonzero((swing[:-1] <= 0) & (swing[1:] > 0))
-    places = np.searchsorted(below, turns, side="left") - 1
-    return np.unique(below[places[places >= 0]])
+    indices = np.searchsorted(below, upward, side="left") - 1
+    return np.unique(below[indices[indices >= 0]])
 
 
 BAND = 0.02
 TAIL = 0.1
-_TURN = 2 * math.pi
+_FULL_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
 
 @dataclass(frozen=True)
-class Credible:
+class PlausibleStates:
     """Limits of the state of a vehicle in water; a run beyond them has diverged."""
 
     # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
@@ -97,7 +97,7 @@ class Credible:
         found[:, pose : 2 * pose] = self.speed
         return found
 
-    def broken(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
+    def implausible(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Where states are not finite or beyond their limits, shape (..., n, states)."""
         pose = start.shape[-1]
         moved = x.copy()
@@ -105,7 +105,7 @@ class Credible:
         return ~np.isfinite(x) | (np.abs(moved) > self.limits(t, pose, x.shape[-1]))
 
 
-CREDIBLE = Credible()
+PLAUSIBLE = PlausibleStates()
 
 
 @dataclass(frozen=True)
@@ -123,15 +123,15 @@ class Divergence:
 
 def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float) -> Divergence:
     """What has diverged in a state at time t, shape (states,), with the pose that the run began with."""
-    broken = CREDIBLE.broken(x[None], start, np.array([t]))[0]
-    place = int(np.argmax(broken))
+    implausible = PLAUSIBLE.implausible(x[None], start, np.array([t]))[0]
+    index = int(np.argmax(implausible))
     pose = len(start)
-    limit = float(CREDIBLE.limits(np.array([t]), pose, len(x))[0, place])
-    name, value = names[place], float(x[place] - (start[place] if place < pose else 0.0))
+    limit = float(PLAUSIBLE.limits(np.array([t]), pose, len(x))[0, index])
+    name, value = names[index], float(x[index] - (start[index] if index < pose else 0.0))
     unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
         why = f"{name} is no longer a finite number"
-    elif place < pose:
+    elif index < pose:
         why = f"{name} is {value:.4g} {unit} from where it began, beyond the limit of {limit:.4g}"
     else:
         why = f"{name} = {value:.4g} {unit}, above the limit of {limit:g}"
@@ -185,7 +185,7 @@ class _Error:
 
     def __init__(self, move: float, turn: float) -> None:
         self.move, self.band, self._turn = move, BAND * abs(move), turn
-        self.settled: float | None = 0.0
+        self.settling: float | None = 0.0
         self.least, self.most, self.final = math.inf, -math.inf, move
         self.tail: list[np.ndarray] = []
         self._before: float | None = None
@@ -203,7 +203,7 @@ class _Error:
     def turns(self) -> int:
         return -round(self.final / self._turn) if self._turn else 0
 
-    def beyond(self, turns: int) -> float:
+    def overshoot(self, turns: int) -> float:
         """Overshoot beyond the set-point shifted by a number of turns, at least zero."""
         further = self._turn * turns
         least, most = self.least + further, self.most + further
@@ -219,10 +219,10 @@ class _Error:
             return
         last = int(outside[-1])
         if last == len(t) - 1:
-            self.settled = None
+            self.settling = None
             return
         ahead = (size[last] - self.band) / (size[last] - size[last + 1])
-        self.settled = float(t[last] + ahead * (t[last + 1] - t[last]))
+        self.settling = float(t[last] + ahead * (t[last + 1] - t[last]))
 
 
 class Measures:
@@ -234,17 +234,17 @@ class Measures:
         scenario: Scenario,
         start: Mapping[str, float],
         to: Mapping[str, float],
-        left: Mapping[str, float],
+        offsets: Mapping[str, float],
     ) -> None:
-        self._scenario, self._left = scenario, left
-        self._goal = {name: start[name] + _short(name, to[name] - start[name]) for name in to}
+        self._scenario, self._offsets = scenario, offsets
+        self._goal = {name: start[name] + _wrapped(name, to[name] - start[name]) for name in to}
         moves = {name: self._goal[name] - start[name] for name in to}
         self._course: float | None = None
         if {"x", "y"} <= moves.keys() and (moves["x"] or moves["y"]):
             self._course = math.atan2(moves["y"], moves["x"])
             moves |= {ALONG: math.hypot(moves["x"], moves["y"]), CROSS: 0.0}
         self._errors = {
-            n: _Error(m, _TURN if MOTION_UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()
+            n: _Error(m, _FULL_TURN if MOTION_UNITS.get(n) == "rad" else 0.0) for n, m in moves.items()
         }
         self._names = list(to)
         self._states = parts.functions.state_names
@@ -256,7 +256,7 @@ class Measures:
     @property
     def goal(self) -> dict[str, float]:
         """The set-point, angles as many turns on as the vehicle has come to by now."""
-        return {name: value + _TURN * self._turns(name) for name, value in self._goal.items()}
+        return {name: value + _FULL_TURN * self._turns(name) for name, value in self._goal.items()}
 
     def _turns(self, name: str) -> int:
         return self._errors[name].turns if self.diverged is None else 0
@@ -264,16 +264,16 @@ class Measures:
     def add(self, begin: int, rows: Rows) -> int:
         """Take in the rows of the samples from `begin` on; how many there are before the run diverges."""
         t = (begin + np.arange(len(rows.x))) * self._scenario.dt
-        broken = np.flatnonzero(CREDIBLE.broken(rows.x, self._start, t).any(axis=1))
-        count = int(broken[0]) if broken.size else len(t)
+        implausible = np.flatnonzero(PLAUSIBLE.implausible(rows.x, self._start, t).any(axis=1))
+        count = int(implausible[0]) if implausible.size else len(t)
         if count < len(t):
             self.diverged = divergence(self._states, rows.x[count], self._start, float(t[count]))
         if count:
-            self._take(t, rows, count)
+            self._add_rows(t, rows, count)
         return count
 
-    def _take(self, t: np.ndarray, rows: Rows, count: int) -> None:
-        errors = self._from(self._goal, rows.x[:count])
+    def _add_rows(self, t: np.ndarray, rows: Rows, count: int) -> None:
+        errors = self._errors_from(self._goal, rows.x[:count])
         for name, error in errors.items():
             self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
         passed = np.flatnonzero(rows.s[:count, -1] > 0)
@@ -283,9 +283,9 @@ class Measures:
 
     def errors(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Desired less true pose over rows of states, along and across the track, too."""
-        return self._from(self.goal, x)
+        return self._errors_from(self.goal, x)
 
-    def _from(self, goal: Mapping[str, float], x: np.ndarray) -> dict[str, np.ndarray]:
+    def _errors_from(self, goal: Mapping[str, float], x: np.ndarray) -> dict[str, np.ndarray]:
         errors = {name: goal[name] - x[:, i] for i, name in enumerate(self._names)}
         if self._course is not None:
             c, s = math.cos(self._course), math.sin(self._course)
@@ -304,21 +304,21 @@ class Measures:
     def _coordinate(self, name: str, cycle: Cycle | None) -> CoordinateResult:
         e, turns = self._errors[name], self._turns(name)
         tail = np.concatenate(e.tail) if e.tail else np.array([])
-        tail = (tail if tail.size else np.array([e.final])) + _TURN * turns
+        tail = (tail if tail.size else np.array([e.final])) + _FULL_TURN * turns
         moved = self.diverged is None and e.move != 0
-        stays = e.settled is not None and e.settled <= (1 - TAIL) * self._scenario.duration
+        in_band = e.settling is not None and e.settling <= (1 - TAIL) * self._scenario.duration
         return CoordinateResult(
             name,
             MOTION_UNITS.get(name, "m"),
             e.move,
             turns,
-            e.settled if moved and stays else None,
-            100 * e.beyond(turns) / abs(e.move) if e.move else None,
-            e.final + _TURN * turns,
+            e.settling if moved and in_band else None,
+            100 * e.overshoot(turns) / abs(e.move) if e.move else None,
+            e.final + _FULL_TURN * turns,
             float(tail.mean()),
             float(np.ptp(tail)) / 2,
             e.largest(turns),
-            self._left.get(name, 0.0),
+            self._offsets.get(name, 0.0),
             cycle,
         )
 
@@ -327,7 +327,7 @@ class _Commands:
     """Accumulated measures of the commands."""
 
     def __init__(self, parts: Parts) -> None:
-        self._names, self._places = parts.controller.command_names, parts.commanded
+        self._names, self._indices = parts.controller.command_names, parts.commanded
         self._units = parts.controller.gains.plant.vehicle.input_units
         self._limits = parts.controller.allocation.limits
         n = len(self._names)
@@ -336,7 +336,7 @@ class _Commands:
         self._last: np.ndarray | None = None
 
     def add(self, u: np.ndarray, dt: float) -> None:
-        u = u[:, self._places]
+        u = u[:, self._indices]
         size = np.abs(u)
         self._effort += dt * size.sum(axis=0)
         self._square += dt * (u**2).sum(axis=0)
@@ -359,6 +359,6 @@ class _Commands:
         return tuple(CommandResult(n, self._units[n], *row) for n, row in zip(self._names, rows, strict=True))
 
 
-def _short(name: str, move: float) -> float:
+def _wrapped(name: str, move: float) -> float:
     """The short way round for an angle."""
-    return math.remainder(move, _TURN) if MOTION_UNITS[name] == "rad" else move
+    return math.remainder(move, _FULL_TURN) if MOTION_UNITS[name] == "rad" else move

@@ -18,7 +18,7 @@ from undertow.observer.design import Design
 from .scenario import MOST_SAMPLES
 
 # Cosine of 45 degrees, less what rounding takes off.
-_ALIKE = math.sqrt(0.5) - 1e-9
+_ALIGNED = math.sqrt(0.5) - 1e-9
 
 
 class Parts:
@@ -51,20 +51,20 @@ class Parts:
             )
 
     @cached_property
-    def turned(self) -> tuple[str, ...]:
+    def turned_thrusters(self) -> tuple[str, ...]:
         """Thrusters whose thrust direction differs by more than 45 degrees from the controller's model.
 
         Compared is the wrench of a command of one, in the motions that the controller knows; moments are
         divided by the longest lever arm that it knows.
         """
         known = self.controller.gains.plant.vehicle
-        rows, moving = list(known.dof_indices), _pushes(self.vehicle)
-        wrenches = _pushes(known)
+        rows, moving = list(known.dof_indices), _unit_wrenches(self.vehicle)
+        wrenches = _unit_wrenches(known)
         scale = np.ones(6)
         arms = (abs(w[i]) for w in wrenches.values() for i in rows if i > 2)
         scale[3:] = 1 / (max(arms, default=1.0) or 1.0)  # fins alone have no thrust, and so no arms
         return tuple(
-            n for n, w in wrenches.items() if not _alike((scale * w)[rows], (scale * moving[n])[rows])
+            n for n, w in wrenches.items() if not _aligned((scale * w)[rows], (scale * moving[n])[rows])
         )
 
     # --- functions ----------------------------------------------------------------------------
@@ -83,8 +83,8 @@ class Parts:
         """`(u, s_next, tau) = control(y, r, s, k, dt)` in the reports and commands of the vehicle."""
         sampled = self.controller.sampled
         if self.observer is None:
-            return self._wired(sampled, "control")
-        return self._observing(sampled)
+            return self._connected(sampled, "control")
+        return self._behind_observer(sampled)
 
     def first_states(self, start: np.ndarray) -> np.ndarray:
         """Values of s at first for a first pose and velocity, shape (ns,)."""
@@ -106,7 +106,7 @@ class Parts:
         The estimate z is corrected by the reports of the present step and drives the law, whose commands then
         carry it ahead; `known` are those that the observer knows.
         """
-        observer, sampled = self._watching, self.controller.sampled
+        observer, sampled = self._filter, self.controller.sampled
         names, process = sampled.name_in()[1:], observer.process
         z, step = ca.SX.sym("z", observer.z_size), ca.SX.sym("step", observer.step_size)
         r, s, k, dt = (ca.SX.sym(n, sampled.size1_in(n)) for n in names)
@@ -125,18 +125,18 @@ class Parts:
         return ca.Function("present", [z, step, r, s, k, dt], outputs, given, results)
 
     @property
-    def _watching(self) -> Design:
+    def _filter(self) -> Design:
         assert self.observer is not None
         return self.observer
 
     @property
     def sensors(self) -> list[int]:
         """Places of the observer's sensors among the reports."""
-        return [self.reported_names.index(n) for n in self._watching.sensors]
+        return [self.reported_names.index(n) for n in self._filter.sensors]
 
-    def _observing(self, sampled: ca.Function) -> ca.Function:
+    def _behind_observer(self, sampled: ca.Function) -> ca.Function:
         """The controller behind an observer, whose states stand before those of the controller."""
-        observer, names = self._watching, sampled.name_in()
+        observer, names = self._filter, sampled.name_in()
         kept, size = observer.kept, observer.step_size
         kind = ca.MX if kept else ca.SX
         more = {"s": observer.size}
@@ -160,9 +160,9 @@ class Parts:
     @cached_property
     def law(self) -> ca.Function:
         """`(u, s_dot, tau) = law(y, r, s, k)`."""
-        return self._wired(self.controller.continuous, "law")
+        return self._connected(self.controller.continuous, "law")
 
-    def _wired(self, function: ca.Function, name: str) -> ca.Function:
+    def _connected(self, function: ca.Function, name: str) -> ca.Function:
         names = function.name_in()
         y = ca.SX.sym("y", len(self.reported_names))
         others = [ca.SX.sym(n, function.size1_in(n)) for n in names[1:]]
@@ -206,20 +206,20 @@ class Parts:
         return found[:, 0], found[:, 1:]
 
 
-def _pushes(vehicle: Vehicle) -> dict[str, np.ndarray]:
+def _unit_wrenches(vehicle: Vehicle) -> dict[str, np.ndarray]:
     """Force and moment of a positive command of each thruster per newton of thrust, shape (6,), 1 and m."""
     return {t.name: np.sign(t.thrust_per_command.value) * np.array(t.wrench) for t in vehicle.thrusters}
 
 
-def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+def _aligned(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two directions are within 45 degrees; none is like none."""
     sizes = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(one @ other) >= _ALIKE * sizes if sizes else not (one.any() or other.any())
+    return float(one @ other) >= _ALIGNED * sizes if sizes else not (one.any() or other.any())
 
 
 # --- how long a sampling interval may be ---------------------------------------------------------------
 # Growth that counts as none, 1/s: rounding splits poles at zero (a cross-track error that nothing corrects).
-_STILL = 1e-4
+_NEUTRAL = 1e-4
 _SHORTEST, _LONGEST = 1e-4, 1e3
 # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
 _CREEP = 1e-9
@@ -274,10 +274,11 @@ class SampledLoop:
     def keeps_stability(self, dt: float) -> bool:
         """Whether sampling keeps everything stable that is stable without it."""
         return all(
-            _growing(self.sampled_rates(dt, side)) <= _growing(self.continuous_rates(side)) for side in (0, 1)
+            _unstable_count(self.sampled_rates(dt, side)) <= _unstable_count(self.continuous_rates(side))
+            for side in (0, 1)
         )
 
-    def longest(self) -> float:
+    def longest_interval(self) -> float:
         """The longest interval with which sampling destabilises nothing, s; infinite if unlimited."""
         grid = np.geomspace(_SHORTEST, _LONGEST, 141)
         bad = next((i for i, dt in enumerate(grid) if not self.keeps_stability(float(dt))), None)
@@ -294,18 +295,18 @@ class SampledLoop:
 
         That is one of the vehicle, as its commands are held, and of the whole loop where they are not.
         """
-        longest = min(_STEP, _REACH / self.fastest(continuous))
-        return max(int(np.ceil(dt / longest - 1e-9)), 1)
+        longest_step = min(_STEP, _REACH / self.fastest_rate(continuous))
+        return max(int(np.ceil(dt / longest_step - 1e-9)), 1)
 
-    def fastest(self, continuous: bool) -> float:
+    def fastest_rate(self, continuous: bool) -> float:
         """Magnitude of the fastest eigenvalue of the vehicle, or of the loop without sampling, 1/s."""
         own = [np.linalg.eigvals(side[0]) for side in self._sides]
         rates = [self.continuous_rates(side) for side in (0, 1)] if continuous else own
         return max(float(np.abs(np.concatenate(rates)).max(initial=0.0)), _REACH / _STEP)
 
 
-def _growing(rates: np.ndarray) -> int:
-    return int((rates.real > _STILL).sum())
+def _unstable_count(rates: np.ndarray) -> int:
+    return int((rates.real > _NEUTRAL).sum())
 
 
 def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple) -> list[np.ndarray]:
@@ -321,7 +322,7 @@ def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple
 
 
 # --- refusing ----------------------------------------------------------------------------------
-def offsets(parts: Parts, dt: float) -> dict[str, float]:
+def sampling_offsets(parts: Parts, dt: float) -> dict[str, float]:
     """Estimate of the distance from the set-point that a sampled jump may leave, m and rad, by coordinate."""
     gains = parts.controller.gains
     rows = gains.law.offset(gains.signals).xreplace(gains.numbers)
@@ -336,9 +337,9 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
     if not loop.keeps_stability(dt):
         raise UndertowError(
             f"dt = {dt:g} s is too long for '{name}' on '{parts.vehicle.name}': the loop is stable in "
-            f"continuous time but unstable with this sampling; the limit is {loop.longest():.3g} s"
+            f"continuous time but unstable with this sampling; the limit is {loop.longest_interval():.3g} s"
         )
-    for coordinate, left in offsets(parts, dt).items():
+    for coordinate, left in sampling_offsets(parts, dt).items():
         move = abs(moves[coordinate])
         if 0 < move <= left:
             raise UndertowError(
@@ -356,6 +357,6 @@ def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> Non
     if steps > MOST_SAMPLES:
         raise UndertowError(
             f"'{parts.controller.gains.name}' on '{parts.vehicle.name}' is as fast as "
-            f"{loop.fastest(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, but "
-            f"{MOST_SAMPLES:.0e} is the limit; shorten the run, or leave out --continuous"
+            f"{loop.fastest_rate(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, "
+            f"but {MOST_SAMPLES:.0e} is the limit; shorten the run, or leave out --continuous"
         )

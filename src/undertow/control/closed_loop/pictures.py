@@ -14,7 +14,7 @@ from scipy.ndimage import binary_closing, maximum_filter1d, minimum_filter1d
 from undertow.figures import COLOURS, FAINT, INK, figure, look, plain, spanning, with_unit
 from undertow.typing import Array
 
-from .record import Record, Swing
+from .record import CommandRange, Record
 
 _STYLES = ("-", "--", "-.", ":")
 _TITLES = {
@@ -72,11 +72,11 @@ def pictures(records: Sequence[Record]) -> dict[str, Figure]:
             drawn["track"] = track(records)
     drawn["commands"] = commands(records)
     if all(r.result.gate_passed is not None for r in records):
-        drawn["strategy"] = strategy(_number(records, "strategy"))
+        drawn["strategy"] = strategy(_title_prefix(records, "strategy"))
     return drawn
 
 
-def _number(records: Sequence[Record], name: str) -> str:
+def _title_prefix(records: Sequence[Record], name: str) -> str:
     """What a title begins with: the number in the paper, of the vehicle that is the paper's."""
     known = name in _IN_PAPER and records[0].result.vehicle == _PAPERS_VEHICLE
     return f"As Figure {_IN_PAPER[name]} of the paper: " if known else ""
@@ -94,11 +94,13 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
             goal, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), label=f"set-point {goal:.4g} {unit}"
         )
         for i, record in enumerate(records):
-            axis.plot(record.t, scale * record.state[name], label=plain(record.result.controller), **_line(i))
+            axis.plot(
+                record.t, scale * record.state[name], label=plain(record.result.controller), **_line_style(i)
+            )
             if record.result.gate_passed is not None and name in "xy":
                 height = scale * record.result.start[name]
-                axis.plot(record.result.gate_passed, height, "o", color=_line(i)["color"], markersize=4)
-        number = _number(records, name)
+                axis.plot(record.result.gate_passed, height, "o", color=_line_style(i)["color"], markersize=4)
+        number = _title_prefix(records, name)
         axis.set_title(f"{number}{_TITLES[name]} of {plain(records[0].result.vehicle)}")
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"{_TITLES[name].lower()} {name} [{unit}]")
@@ -115,10 +117,10 @@ def track(records: Sequence[Record]) -> Figure:
         picture, axes = figure(5.0)
         axis = axes[0, 0]
         if first.followed is not None:
-            axis.plot(first.followed.way[:, 1], first.followed.way[:, 0], ":", color=INK, label="mission")
+            axis.plot(first.followed.path[:, 1], first.followed.path[:, 0], ":", color=INK, label="mission")
         for i, record in enumerate(records):
-            kept, name = _on_the_way(record), plain(record.result.controller)
-            axis.plot(record.state["y"][kept], record.state["x"][kept], label=name, **_line(i))
+            kept, name = _before_arrival(record), plain(record.result.controller)
+            axis.plot(record.state["y"][kept], record.state["x"][kept], label=name, **_line_style(i))
         axis.plot(first.state["y"][0], first.state["x"][0], "o", color=INK, fillstyle="none", label="start")
         if {"x", "y"} <= set(first.result.to):
             goal = first.result.to
@@ -145,7 +147,7 @@ def errors(records: Sequence[Record]) -> Figure:
             for record, by in found:
                 for i, (name, values) in enumerate(by[unit].items()):
                     label = name if len(records) == 1 else f"{name}, {plain(record.result.controller)}"
-                    axis.plot(record.t, units[unit] * values, label=label, **_line(i))
+                    axis.plot(record.t, units[unit] * values, label=label, **_line_style(i))
             axis.set_ylabel(f"desired less true [{unit}]")
             spanning(axis, SPAN.of(unit))
             axis.grid()
@@ -154,7 +156,7 @@ def errors(records: Sequence[Record]) -> Figure:
     return picture
 
 
-def _on_the_way(record: Record) -> np.ndarray:
+def _before_arrival(record: Record) -> np.ndarray:
     """Rows up to the end of the mission, which is not always held after it; all without one."""
     followed = record.result.followed
     return np.asarray(record.t <= ((followed.arrived if followed else None) or record.t[-1]))
@@ -162,18 +164,18 @@ def _on_the_way(record: Record) -> np.ndarray:
 
 def _errors_by_unit(record: Record) -> dict[str, dict[str, np.ndarray]]:
     assert record.followed is not None
-    kept = _on_the_way(record)
+    kept = _before_arrival(record)
     by: dict[str, dict[str, np.ndarray]] = {"m": {}, "deg": {}}
     for name, values in record.followed.errors.items():
         by["deg" if name in ("phi", "theta", "psi") else "m"][name] = np.where(kept, values, np.nan)
     return by
 
 
-def _line(i: int) -> dict[str, Any]:
+def _line_style(i: int) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": _STYLES[i % len(_STYLES)]}
 
 
-def band(t: Array, values: Array, swing: Swing) -> tuple[Array, ...] | None:
+def band(t: Array, values: Array, swing: CommandRange) -> tuple[Array, ...] | None:
     """Times, mean, lower and upper edge of a command that chatters, or None for one that is drawn as a line.
 
     Where it does not chatter the edges are the mean.
@@ -202,13 +204,13 @@ def band(t: Array, values: Array, swing: Swing) -> tuple[Array, ...] | None:
 def _draw(axis: Any, record: Record, name: str, i: int) -> None:
     """A command as a line, or as its mean with the band that it fills."""
     t, values, words = record.t, record.commands[name], plain(record.result.controller)
-    edges = band(t, values, record.swings[name])
+    edges = band(t, values, record.command_ranges[name])
     if edges is None:
-        axis.plot(t, values, label=words, **_line(i))
+        axis.plot(t, values, label=words, **_line_style(i))
         return
     times, mean, low, high = edges
-    axis.fill_between(times, low, high, color=_line(i)["color"], alpha=0.35, linewidth=0)
-    axis.plot(times, mean, label=f"{words} (band: chatters)", **_line(i))
+    axis.fill_between(times, low, high, color=_line_style(i)["color"], alpha=0.35, linewidth=0)
+    axis.plot(times, mean, label=f"{words} (band: chatters)", **_line_style(i))
 
 
 def commands(records: Sequence[Record]) -> Figure:

@@ -65,7 +65,7 @@ class LoopResult:
     to: Mapping[str, float]
     # when the heading came within the gate, s; None if it did not, or there is no gate
     gate_passed: float | None
-    # When the state left what a vehicle in water can have, s: not finite, or beyond `Credible`. The
+    # When the state left what a vehicle in water can have, s: not finite, or beyond `PlausibleStates`. The
     # measures are of the run up to there.
     diverged: float | None
     divergence: Divergence | None  # what diverged, with the numbers
@@ -82,7 +82,7 @@ class LoopResult:
 
 
 @dataclass(frozen=True)
-class Swing:
+class CommandRange:
     """Variation of a command within each row interval, which its mean does not show; shape (n,) each."""
 
     low: np.ndarray
@@ -127,7 +127,7 @@ class Record:
     result: LoopResult
     estimated: Mapping[str, np.ndarray] = field(default_factory=dict)
     followed: Followed | None = None
-    swings: Mapping[str, Swing] = field(default_factory=dict)
+    command_ranges: Mapping[str, CommandRange] = field(default_factory=dict)
 
     def to_csv(self) -> str:
         """A log as undertow reads it: t, what the sensors report, and the commands."""
@@ -189,7 +189,7 @@ class Recorder:
         means = (self._sums / np.maximum(self._counts, 1)[:, None])[samples // self._stride]
         if len(means) > 1 and self._counts[samples[-1] // self._stride] < self._stride:
             means[-1] = means[-2]  # of its interval there is a part only, one sample as a rule
-        swings = (self._low, self._high, self._travel)
+        command_ranges = (self._low, self._high, self._travel)
         named = list(zip(parts.controller.command_names, parts.commanded, strict=True))
         errors = measures.errors(x)
         state = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=False))
@@ -202,10 +202,13 @@ class Recorder:
             {n: means[:, i] for n, i in named},
             dict(zip(known.degrees_of_freedom, tau.T, strict=True)),
             errors,
-            replace(result, followed=_judged(self._mission, t, followed)) if followed else result,
+            replace(result, followed=_mission_result(self._mission, t, followed)) if followed else result,
             parts.estimates(s),
             followed,
-            {n: Swing(*(part[samples // self._stride, i] for part in swings)) for n, i in named},
+            {
+                n: CommandRange(*(part[samples // self._stride, i] for part in command_ranges))
+                for n, i in named
+            },
         )
 
     def _followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed | None:
@@ -238,11 +241,11 @@ class Recorder:
             measures.diverged,
             measures.coordinates(cycles),
             measures.commands(),
-            self._parts.turned,
+            self._parts.turned_thrusters,
         )
 
 
-def _judged(mission: Mission | None, t: np.ndarray, followed: Followed) -> FollowedResult:
+def _mission_result(mission: Mission | None, t: np.ndarray, followed: Followed) -> FollowedResult:
     """The measures of a mission, up to its end."""
     assert mission is not None
     done = np.flatnonzero(followed.arrived)

@@ -23,18 +23,18 @@ from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
-from .measures import CREDIBLE, Measures
-from .parts import Parts, SampledLoop, check_interval, check_steps, offsets
+from .measures import PLAUSIBLE, Measures
+from .parts import Parts, SampledLoop, check_interval, check_steps, sampling_offsets
 from .record import Record, Recorder
 from .scenario import Scenario, heading
-from .stepping import ALL, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
+from .stepping import SIGNALS, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
 
 Varied = Mapping[str, np.ndarray]
 NONE: Varied = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Differences:
+class RunVariations:
     """What differs from run to run, an array of a value for each run by name."""
 
     parameters: Varied
@@ -64,7 +64,7 @@ class Differences:
         """How many runs there are."""
         return len(next(iter(self._all().values())))
 
-    def put_into(self, what: str, varied: Varied, names: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+    def rows_with(self, what: str, varied: Varied, names: tuple[str, ...], values: np.ndarray) -> np.ndarray:
         """A row of values for each run, those that differ put in, shape (b, n)."""
         rows = np.tile(values, (self.runs, 1))
         for name, column in varied.items():
@@ -82,7 +82,7 @@ class Runs:
 
     t: np.ndarray  # (n,): times of the rows, s
     # (b, n, nx): true states; NaN from the first row on at which a run has diverged: it is no number any
-    # more, or none that a vehicle in water can have (`Credible`)
+    # more, or none that a vehicle in water can have (`PlausibleStates`)
     states: np.ndarray
     commands: np.ndarray  # (b, n, nu): commands that the controller gives at the rows
     # state_names, command_names: names of the last axes
@@ -114,12 +114,12 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         row = rows.stop
     pose = len(loop.vehicle.pose_names)
     states = runs.states[share]
-    lost = CREDIBLE.broken(states, states[:, 0, :pose], runs.t).any(axis=2)
-    gone = np.maximum.accumulate(lost, axis=1)
-    if not gone[:, -1].any():
+    implausible = PLAUSIBLE.implausible(states, states[:, 0, :pose], runs.t).any(axis=2)
+    diverged = np.maximum.accumulate(implausible, axis=1)
+    if not diverged[:, -1].any():
         return
-    runs.states[share][gone] = np.nan
-    runs.commands[share][gone] = np.nan
+    runs.states[share][diverged] = np.nan
+    runs.commands[share][diverged] = np.nan
 
 
 # --- blocks of runs -------------------------------------------------------------------------------
@@ -127,21 +127,21 @@ _SAMPLES_PER_CALL = 20_000
 
 
 def blocks(
-    parts: Parts, scenario: Scenario, runs: range, stride: int = 1, wanted: tuple[str, ...] = ALL
+    parts: Parts, scenario: Scenario, runs: range, stride: int = 1, signals: tuple[str, ...] = SIGNALS
 ) -> Iterator[Block]:
     """Blocks of samples one after the other, so that Ctrl-C takes effect in between.
 
     The noise of run i is that of seed + i.
     """
     sensors = parts.observer.noise if parts.observer else {}
-    spread = replace(scenario, noise={**sensors, **scenario.noise}).noise_of(parts.reported_names)
-    random = [np.random.default_rng(scenario.seed + i) for i in runs] if spread.any() else []
+    sigmas = replace(scenario, noise={**sensors, **scenario.noise}).noise_of(parts.reported_names)
+    random = [np.random.default_rng(scenario.seed + i) for i in runs] if sigmas.any() else []
     _check_pushes(parts, scenario)
     for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
         count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
-        noise = [r.standard_normal((count, len(spread))) * spread for r in random]
-        extra = _extra(parts, scenario, begin, count) if scenario.pushes else None
-        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, wanted)
+        noise = [r.standard_normal((count, len(sigmas))) * sigmas for r in random]
+        extra = _disturbance(parts, scenario, begin, count) if scenario.pushes else None
+        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, signals)
 
 
 def _check_pushes(parts: Parts, scenario: Scenario) -> None:
@@ -153,7 +153,7 @@ def _check_pushes(parts: Parts, scenario: Scenario) -> None:
             )
 
 
-def _extra(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
+def _disturbance(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
     commands = parts.vehicle.command_names
     extra = np.zeros((count, len(commands)))
     t = (begin + np.arange(count)) * scenario.dt
@@ -216,7 +216,7 @@ class ClosedLoop:
             self._compiled, partial(CompiledLoop, self.parts), partial(VirtualLoop, self.parts)
         )
 
-    def _sample_every(self, dt: float) -> None:
+    def _set_interval(self, dt: float) -> None:
         """Let an observer keep as many samples as its reports are late."""
         observer = self.parts.observer
         if observer is not None and (kept := observer.sampled(dt)).lags != observer.lags:
@@ -269,12 +269,12 @@ class ClosedLoop:
         UndertowError
             If the scenario does not fit the vehicle, or dt is too long for the law.
         """
-        self._sample_every(scenario.dt)
+        self._set_interval(scenario.dt)
         start, to = self.desired(scenario)
         problem = self.problem(scenario, start, to, self.first(scenario, start)[None])
-        left = {} if scenario.continuous else offsets(self.parts, scenario.dt)
+        sampling_offset = {} if scenario.continuous else sampling_offsets(self.parts, scenario.dt)
         measures, recorder = (
-            Measures(self.parts, scenario, start, to, left),
+            Measures(self.parts, scenario, start, to, sampling_offset),
             Recorder(self.parts, scenario, self.mission),
         )
         for block in blocks(self.parts, scenario, range(1)):
@@ -308,8 +308,8 @@ class ClosedLoop:
             masses = numpy.random.default_rng(0).normal(7.5, 0.3, 1000)
             loop.run_many(Scenario((1, 1, 1)), parameters={"m": masses}).state("z")[:, -1].std()
         """
-        self._sample_every(scenario.dt)
-        by = Differences(parameters, gains, starts)
+        self._set_interval(scenario.dt)
+        by = RunVariations(parameters, gains, starts)
         parts = self.parts
         start, to = self.desired(scenario)
         named = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
@@ -317,9 +317,9 @@ class ClosedLoop:
             scenario,
             start,
             to,
-            by.put_into("start of", by.starts, named, self.first(scenario, start)),
-            by.put_into("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
-            by.put_into("gain", by.gains, parts.controller.gain_names, parts.gains),
+            by.rows_with("start of", by.starts, named, self.first(scenario, start)),
+            by.rows_with("parameter", by.parameters, parts.functions.parameter_names, parts.parameters),
+            by.rows_with("gain", by.gains, parts.controller.gain_names, parts.gains),
         )
         t = np.arange(0, scenario.samples, scenario.stride) * scenario.dt
         runs = Runs(
@@ -401,7 +401,7 @@ _SWAY_FORCE = "tau_Y"
 
 
 @dataclass(frozen=True)
-class Choices:
+class Overrides:
     """Changes to what the vehicle file and the gain file say; None leaves what they say."""
 
     # order, heading, integrators: as in [schedule] of a gain file
@@ -430,13 +430,13 @@ class Choices:
         `plant` is the vehicle that moves, by default the same. The current of a mission is the default.
         """
         known = self.with_sway(vehicle)
-        wet = replace(self, current=mission.current) if mission and self.current is None else self
-        moving = wet.in_current(self.with_sway(plant) if plant else known)
+        in_water = replace(self, current=mission.current) if mission and self.current is None else self
+        moving = in_water.in_current(self.with_sway(plant) if plant else known)
         chosen = None if observer is None else load_observer(observer, known)
-        law = load_gains(gains, known, self.changed)
+        law = load_gains(gains, known, self.applied_to)
         return ClosedLoop(law, moving, mission=mission, observer=chosen, compiled=compiled)
 
-    def changed(self, table: GainTable) -> GainTable:
+    def applied_to(self, table: GainTable) -> GainTable:
         """A gain file with these choices."""
         names = ("order", "heading", "integrators", "gate")
         wanted = {n: getattr(self, n) for n in names if getattr(self, n) is not None}
@@ -459,23 +459,23 @@ class Choices:
         return vehicle if self.current is None else in_current(vehicle, *self.current)
 
 
-def without(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
+def without_effects(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
     """The vehicle with some of its effects left out."""
     present = [e.id for e in vehicle.effects]
-    for wanted in ids:
-        if wanted not in present:
+    for id_ in ids:
+        if id_ not in present:
             raise UndertowError(
-                f"effect '{wanted}' cannot be left out, '{vehicle.name}' does not have it"
-                f"{nearest(wanted, present)}: it has {', '.join(present)}"
+                f"effect '{id_}' cannot be left out, '{vehicle.name}' does not have it"
+                f"{nearest(id_, present)}: it has {', '.join(present)}"
             )
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in ids))
 
 
-def simulate_all(
+def simulate_each(
     vehicle: Vehicle,
     gains: Sequence[str],
     scenario: Scenario,
-    choices: Choices,
+    overrides: Overrides,
     *,
     plant: Vehicle | None = None,
     observer: str | Path | None = None,
@@ -484,9 +484,9 @@ def simulate_all(
 ) -> list[Record]:
     """A run with every gain file; `progress` gets the seconds that are done, all runs together."""
 
-    def run(place: int, name: str) -> Record:
-        before = place * scenario.duration
-        loop = choices.loop(name, vehicle, plant, mission=mission, observer=observer)
+    def run(index: int, name: str) -> Record:
+        before = index * scenario.duration
+        loop = overrides.loop(name, vehicle, plant, mission=mission, observer=observer)
         return loop.run(scenario, lambda done, words: progress(before + done, words))
 
     return [run(i, name) for i, name in enumerate(gains)]

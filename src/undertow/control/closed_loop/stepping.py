@@ -74,7 +74,7 @@ class Rows:
         return Rows(*(array[:count] for array in vars(self).values()))
 
 
-ALL = ("x", "y", "u", "s", "tau")
+SIGNALS = ("x", "y", "u", "s", "tau")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Block:
     stride: int = 1  # recorded is every sample that this divides
     noise: np.ndarray | None = None  # (b, samples, ny): what the sensors add
     extra: np.ndarray | None = None  # (samples, nu): forces from outside
-    wanted: tuple[str, ...] = ALL  # what is recorded
+    signals: tuple[str, ...] = SIGNALS  # what is recorded
 
     @property
     def recorded(self) -> range:
@@ -100,7 +100,7 @@ class Block:
         f, control = parts.functions, parts.control
         sizes = (f.x.numel(), len(parts.reported_names), f.u.numel(), *map(control.size1_out, (1, 2)))
         count = len(self.recorded)
-        counts = (count if name in self.wanted else 0 for name in ALL)
+        counts = (count if name in self.signals else 0 for name in SIGNALS)
         return Rows(*(np.empty((groups, c, n, *lanes)) for c, n in zip(counts, sizes, strict=True)))
 
 
@@ -163,7 +163,7 @@ class _Loop(ctypes.Structure):
         ("output_delay", _POINTER),
         *((name, ctypes.c_int64) for name in ("stride", "rows", *(f"{n}_step" for n in _PER_RUN))),
         *((name, _POINTER) for name in (*_PER_RUN, *_CHANGED, "noise", "extra")),
-        ("record", _POINTER * len(ALL)),
+        ("record", _POINTER * len(SIGNALS)),
     )
 
 
@@ -188,7 +188,7 @@ class CompiledLoop:
             *(problem.reports.shape[1], _address(problem.output_delay), block.stride, len(block.recorded)),
             *(arrays[name][0].size for name in _PER_RUN),
             *map(_address, [*arrays.values(), noise, block.extra]),
-            (_POINTER * len(ALL))(*(_address(array if array.size else None) for array in record)),
+            (_POINTER * len(SIGNALS))(*(_address(array if array.size else None) for array in record)),
         )
         span = map(ctypes.c_int64, (0, groups, block.first, block.samples))
         self._entries(lanes)(ctypes.byref(loop), *span)
@@ -231,13 +231,13 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
         )
         for f in functions
     ]
-    model += _behind(late, parts) if late else []
+    model += _late_observer_c(late, parts) if late else []
     loop = c_file("loop.c", "undertow.control.closed_loop")
     text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
     return with_entry(text, "RUN", "run")
 
 
-def _behind(observer: Design, parts: Parts) -> list[str]:
+def _late_observer_c(observer: Design, parts: Parts) -> list[str]:
     """C of the controller behind an observer whose reports come late."""
     sizes = {
         "NZ": observer.z_size,
@@ -263,7 +263,7 @@ class VirtualLoop:
     def run(self, problem: LoopProblem, block: Block) -> Rows:
         """Commands and reports of the past stand in `problem` from the last sample backwards."""
         rows, begin = block.rows(self._parts, problem.runs), block.first * problem.dt
-        places = np.array(block.recorded) - block.first
+        rows_recorded = np.array(block.recorded) - block.first
         for i in range(problem.runs):
             states = [getattr(problem, name)[i].T for name in _CHANGED]
             if block.first == 0:  # before the first sample, sensors report what is true at it
@@ -275,9 +275,9 @@ class VirtualLoop:
             found = [np.asarray(v) for v in self._samples(problem, block.samples)(*states, *given)]
             x, s, u, _, _, y, tau = found
             x = np.hstack([states[0][:, None], x[:, :-1]])
-            for name, value in zip(ALL, (x, y, u, s, tau), strict=True):
-                if name in block.wanted:
-                    getattr(rows, name)[i] = value.T[places]
+            for name, value in zip(SIGNALS, (x, y, u, s, tau), strict=True):
+                if name in block.signals:
+                    getattr(rows, name)[i] = value.T[rows_recorded]
             for state, value in zip(states, found, strict=False):
                 state[:] = value[:, -1] if state.ndim == 1 else value[:, -state.shape[1] :]
         return rows

@@ -53,7 +53,7 @@ class Interval:
 
     def __add__(self, other: Any) -> Interval:
         o = enclose(other)
-        return _out(self.lo + o.lo, self.hi + o.hi)
+        return _rounded_outward(self.lo + o.lo, self.hi + o.hi)
 
     __radd__ = __add__
 
@@ -69,10 +69,10 @@ class Interval:
     def __mul__(self, other: Any) -> Interval:
         if isinstance(other, float):  # the same numbers in half the time
             ends = self.lo * other, self.hi * other
-            return _out(*ends) if other >= 0 else _out(*ends[::-1])
+            return _rounded_outward(*ends) if other >= 0 else _rounded_outward(*ends[::-1])
         o = enclose(other)
         products = [self.lo * o.lo, self.lo * o.hi, self.hi * o.lo, self.hi * o.hi]
-        return _out(np.minimum.reduce(products), np.maximum.reduce(products))
+        return _rounded_outward(np.minimum.reduce(products), np.maximum.reduce(products))
 
     __rmul__ = __mul__
 
@@ -92,10 +92,10 @@ class Interval:
 
     def __abs__(self) -> Interval:
         least = np.where((self.lo <= 0) & (self.hi >= 0), 0.0, np.minimum(np.abs(self.lo), np.abs(self.hi)))
-        return Interval(least, self.size)
+        return Interval(least, self.magnitude)
 
     @property
-    def size(self) -> Array:
+    def magnitude(self) -> Array:
         """The largest magnitude in each interval."""
         return np.maximum(np.abs(self.lo), np.abs(self.hi))
 
@@ -104,7 +104,7 @@ class Interval:
         safe = (self.lo > 0) | (self.hi < 0)
         with np.errstate(divide="ignore"):
             lo, hi = np.where(safe, 1 / self.hi, -np.inf), np.where(safe, 1 / self.lo, np.inf)
-        return _out(lo, hi)
+        return _rounded_outward(lo, hi)
 
     def __matmul__(self, other: Any) -> Interval:
         """Product of matrices by middle and radius (Rump 1999, Fast and parallel interval arithmetic)."""
@@ -115,7 +115,7 @@ class Interval:
         if ra.any():
             radius += ra @ (size_b + rb)
         radius = radius * (1 + 4 * rounding) + _TINY
-        return _out(middle - radius, middle + radius)
+        return _rounded_outward(middle - radius, middle + radius)
 
     def __rmatmul__(self, other: Any) -> Interval:
         return enclose(other) @ self
@@ -126,7 +126,7 @@ class Interval:
         return Interval(np.swapaxes(self.lo, -1, -2), np.swapaxes(self.hi, -1, -2))
 
 
-def _out(lo: Array, hi: Array) -> Interval:
+def _rounded_outward(lo: Array, hi: Array) -> Interval:
     """Numbers outside by more than one rounding, which `nextafter` takes four times as long to find."""
     return Interval(lo - (_STEP * np.abs(lo) + _TINY), hi + (_STEP * np.abs(hi) + _TINY))
 
@@ -136,7 +136,7 @@ def enclose(value: Any) -> Interval:
     return value if isinstance(value, Interval) else Interval(value, value)
 
 
-def within(size: Any) -> Interval:
+def plus_minus(size: Any) -> Interval:
     """Everything up to a magnitude, either way."""
     return Interval(-size, size)
 
@@ -174,7 +174,7 @@ def _contains(x: Interval, place: float) -> Flags:
 
 
 FUNCTIONS: dict[str, Callable[..., Interval]] = {"sin": sin, "cos": cos, "tan": tan}
-"""For `model.evaluation.function_of`."""
+"""For `model.composition.function_of`."""
 
 
 def block(rows: Sequence[Sequence[Any]]) -> Any:
@@ -225,12 +225,12 @@ class BoundSettings:
     """How finely attitudes are sampled and cut into boxes."""
 
     # A bound that is not positive by then counts as not proved; it limits time and memory.
-    most_boxes: int = 40_000
-    most_pairs: int = 200_000  # the same of boxes with their cases
+    max_boxes: int = 40_000
+    max_pairs: int = 200_000  # the same of boxes with their cases
     # Boxes after which a proof that would take more than those is given up: the first ones are so large that
     # they say little of it.
     first_boxes: int = 2000
-    together: int = 8000  # boxes that are bounded at a time: memory
+    batch: int = 8000  # boxes that are bounded at a time: memory
     share: float = 0.1  # of the least margin found, up to which a bound is refined: its sign is what counts
     grid: int = 9  # points for each angle from which the least margin is searched for
     heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
@@ -245,7 +245,7 @@ class Certificate:
     """What is known of a number over all attitudes."""
 
     bound: float  # the number is nowhere below this
-    found: float  # the least value found at a point
+    least_found: float  # the least value found at a point
     worst: dict[str, float]  # angles of that point, rad
     proof: str  # why the bound holds, in words
 
@@ -262,7 +262,7 @@ class Attitudes:
 
     def __init__(self, plant: Plant, tilt: float, isotropic: bool = False, rates: bool = False) -> None:
         self._plant, self.tilt, self._rates = plant, tilt, rates
-        self._same = isotropic
+        self._isotropic_gains = isotropic
         self._isotropic = isotropic and len(plant.nu) == 6
 
     @cached_property
@@ -275,17 +275,17 @@ class Attitudes:
         return (J * J.T).applyfunc(sm.trigsimp) == sm.eye(J.rows)
 
     @cached_property
-    def heading_turns_out(self) -> bool:
+    def heading_factors_out(self) -> bool:
         """Whether J(psi) = Z(psi) J(0) with Z orthogonal, proved: then psi does not change eigenvalues."""
         psi = symbol("psi")
         if psi not in self._plant.J.free_symbols:
             return True
-        turn = self._turn
+        turn = self._yaw_rotation
         rest = turn * self._plant.J.xreplace({psi: sm.Integer(0)}) - self._plant.J
         return rest.applyfunc(lambda e: sm.trigsimp(sm.expand(e))).is_zero_matrix is True
 
     @cached_property
-    def _turn(self) -> sm.Matrix:
+    def _yaw_rotation(self) -> sm.Matrix:
         names = self._plant.vehicle.pose_names
         turn, psi = sm.eye(len(names)), symbol("psi")
         if "x" in names and "y" in names:
@@ -294,36 +294,38 @@ class Attitudes:
             turn[i, j], turn[j, i] = -sm.sin(psi), sm.sin(psi)
         return turn
 
-    def angles(self, turned: bool) -> tuple[str, ...]:
-        """Angles that a matrix can depend on; the heading only if it is not `turned` out."""
+    def angles(self, yaw_invariant: bool) -> tuple[str, ...]:
+        """Angles that a matrix can depend on; the heading only if it is not `yaw_invariant` out."""
         found = [a for a in ANGLES if symbol(a) in self._plant.J.free_symbols]
-        return tuple(a for a in found if not (a == "psi" and turned and self.heading_turns_out))
+        return tuple(a for a in found if not (a == "psi" and yaw_invariant and self.heading_factors_out))
 
     def box(self, angles: tuple[str, ...]) -> Array:
         """Range of these angles, shape (n, 2), rad; of headings half a turn.
 
         The other half turns x and y round, which changes no eigenvalue, as gains are diagonal.
         """
-        ends = [0.5 * np.pi if a == "psi" and self.heading_turns_out else self._most(a) for a in angles]
+        ends = [
+            0.5 * np.pi if a == "psi" and self.heading_factors_out else self._largest_angle(a) for a in angles
+        ]
         return np.array([[-e, e] for e in ends])
 
-    def _most(self, angle: str) -> float:
+    def _largest_angle(self, angle: str) -> float:
         return np.pi if angle == "psi" else self.tilt
 
-    def unchanged(self, turned: bool) -> bool:
+    def invariant(self, yaw_invariant: bool) -> bool:
         """Whether no attitude changes an eigenvalue: J J' = I, and every gain commutes with J."""
-        if not self.angles(turned):
+        if not self.angles(yaw_invariant):
             return True
-        return turned and (self._same or self.angles(False) == ("psi",)) and self.orthogonal
+        return yaw_invariant and (self._isotropic_gains or self.angles(False) == ("psi",)) and self.orthogonal
 
     @cached_property
-    def _inverse(self) -> sm.Matrix:
+    def _J_inverse(self) -> sm.Matrix:
         whole = self._plant.J_inverse
-        own = sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else whole
+        inverse = sm.diag(sm.eye(3), body_rates(column(POSE[3:]))) if self._isotropic else whole
         if not self._rates:
-            return own
+            return inverse
         turn = [sm.diag(rotation(column(POSE[3:])), sm.eye(3))] if self._isotropic else []
-        return sm.Matrix.vstack(own, *self._slopes(own), *turn)
+        return sm.Matrix.vstack(inverse, *self._slopes(inverse), *turn)
 
     def _slopes(self, inverse: sm.Matrix) -> Iterator[sm.Matrix]:
         """How J^-1 changes at a unit of each velocity; where R is left out of it, seen from the body."""
@@ -336,25 +338,25 @@ class Attitudes:
             yield rate
 
     @cached_property
-    def _function(self) -> Callable[..., Any]:
-        return enclosing([symbol(a) for a in ANGLES], self._inverse)
+    def _J_inverse_enclosed(self) -> Callable[..., Any]:
+        return enclosing([symbol(a) for a in ANGLES], self._J_inverse)
 
     @cached_property
-    def _numbers(self) -> Callable[..., Any]:
+    def _J_inverse_numeric(self) -> Callable[..., Any]:
         functions = {name: getattr(np, name) for name in FUNCTIONS}
-        return function_of([symbol(a) for a in ANGLES], self._inverse.tolist(), functions)
+        return function_of([symbol(a) for a in ANGLES], self._J_inverse.tolist(), functions)
 
     @cached_property
-    def _forward(self) -> Callable[..., Any]:
+    def _J_enclosed(self) -> Callable[..., Any]:
         return enclosing([symbol(a) for a in ANGLES], self._plant.J)
 
     def inverse(self, values: dict[str, Interval]) -> Interval:
         """J^-1 for intervals of angles of shape (k,), zero where not given, shape (k, n, n)."""
-        return self._function(*self.every_angle(values))
+        return self._J_inverse_enclosed(*self.every_angle(values))
 
     def forward(self, values: dict[str, Interval]) -> Interval:
         """J itself for intervals of angles, shape (k, n, n); the heading is never left out of it."""
-        return self._forward(*self.every_angle(values))
+        return self._J_enclosed(*self.every_angle(values))
 
     def every_angle(self, values: dict[str, Interval]) -> list[Interval]:
         """Roll, pitch and heading, zero where not given."""
@@ -380,7 +382,7 @@ class Attitudes:
     def numbers(self, values: dict[str, Array]) -> Array:
         """J^-1 in floating point for angles of shape (k,), zero where not given, shape (k, n, n)."""
         k = count_of(values)
-        return _filled(self._numbers(*(values.get(a, np.zeros(k)) for a in ANGLES)), (k,))
+        return _stacked(self._J_inverse_numeric(*(values.get(a, np.zeros(k)) for a in ANGLES)), (k,))
 
 
 def count_of(values: Mapping[str, Interval | Array]) -> int:
@@ -395,12 +397,12 @@ def enclosing(names: Sequence[sm.Symbol], matrix: sm.Matrix) -> Callable[..., In
     def evaluate(*values: Interval) -> Interval:
         k = np.broadcast_shapes(*(v.lo.shape for v in values)) if values else (1,)
         cells = [[enclose(c) for c in row] for row in function(*values)]
-        return Interval(*(_filled([[getattr(c, s) for c in row] for row in cells], k) for s in ("lo", "hi")))
+        return Interval(*(_stacked([[getattr(c, s) for c in row] for row in cells], k) for s in ("lo", "hi")))
 
     return evaluate
 
 
-def _filled(cells: Sequence[Sequence[Any]], shape: tuple[int, ...]) -> Array:
+def _stacked(cells: Sequence[Sequence[Any]], shape: tuple[int, ...]) -> Array:
     """A stack of matrices from its cells, each a number or an array of that shape."""
     found = np.empty((*shape, len(cells), len(cells[0]) if cells else 0))
     for i, row in enumerate(cells):
@@ -409,8 +411,8 @@ def _filled(cells: Sequence[Sequence[Any]], shape: tuple[int, ...]) -> Array:
     return found
 
 
-def least(
-    margin: Callable[[Any], Array], attitudes: Attitudes, turned: bool, depends: bool = True
+def margin_bound(
+    margin: Callable[[Any], Array], attitudes: Attitudes, yaw_invariant: bool, depends: bool = True
 ) -> Certificate:
     """Bound a margin from below over all attitudes: by algebra, or by branch and bound on boxes of angles.
 
@@ -418,32 +420,36 @@ def least(
     that its sign needs; where that value is not positive, the point is a counterexample, without a bound.
 
     `margin` leads from J^-1, an array or an interval array of shape (k, n, n), to the margin or a bound below
-    it. `turned` says that it is the same at every heading, `depends` that it contains J at all.
+    it. `yaw_invariant` says that it is the same at every heading, `depends` that it contains J at all.
     """
-    return least_of_cases(lambda J, place, _: margin(J)[place], attitudes, turned, depends=depends)
+    return margin_bound_over_cases(
+        lambda J, place, _: margin(J)[place], attitudes, yaw_invariant, depends=depends
+    )
 
 
 Cases = Callable[[Any, Index, Index], Array]
 """Leads from J^-1 at some attitudes to margins, or bounds below them, of pairs: place in J^-1 and case."""
 
 
-def least_of_cases(
-    margin: Cases, attitudes: Attitudes, turned: bool, cases: int = 1, *, depends: bool = True
+def margin_bound_over_cases(
+    margin: Cases, attitudes: Attitudes, yaw_invariant: bool, cases: int = 1, *, depends: bool = True
 ) -> Certificate:
-    """As `least`, over a number of cases, too: a box of attitudes is cut for those cases that need it."""
-    angles = attitudes.angles(turned)
-    if not depends or attitudes.unchanged(turned):
+    """As `margin_bound`, over cases, too: a box of attitudes is cut for those cases that need it."""
+    angles = attitudes.angles(yaw_invariant)
+    if not depends or attitudes.invariant(yaw_invariant):
         value = float(margin(attitudes.at({})[None], np.zeros(cases, dtype=int), np.arange(cases)).min())
-        return Certificate(value, value, {}, _algebra(attitudes) if depends else "gains alone")
-    best, worst = _search(margin, attitudes, angles, cases)
+        return Certificate(value, value, {}, _algebraic_proof(attitudes) if depends else "gains alone")
+    best, worst = _least_sampled(margin, attitudes, angles, cases)
     place = dict(zip(angles, map(float, worst), strict=True))
     if best <= 0:
         return Certificate(best, best, place, "fails there")
-    bound, seen = _bound(margin, attitudes, angles, cases, best)
-    return Certificate(bound, best, place, _bounds(attitudes, angles, seen, bound))
+    bound, count = _branch_and_bound(margin, attitudes, angles, cases, best)
+    return Certificate(bound, best, place, _interval_proof(attitudes, angles, count, bound))
 
 
-def _search(margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases: int) -> tuple[float, Array]:
+def _least_sampled(
+    margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases: int
+) -> tuple[float, Array]:
     """The least margin on a grid, polished from there."""
     box = attitudes.box(angles)
     axes = [np.linspace(low, high, BOUNDS.grid) for low, high in box]
@@ -453,12 +459,12 @@ def _search(margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases:
         return margin(attitudes.numbers(dict(zip(angles, points.T, strict=True))), place, case)
 
     place, case = (m.ravel() for m in np.indices((len(grid), cases)))
-    least = [
+    candidates = [
         (float(values.min()), k + int(values.argmin()))
-        for k in range(0, len(place), BOUNDS.together)
-        for values in [at(grid, place[k : k + BOUNDS.together], case[k : k + BOUNDS.together])]
+        for k in range(0, len(place), BOUNDS.batch)
+        for values in [at(grid, place[k : k + BOUNDS.batch], case[k : k + BOUNDS.batch])]
     ]
-    lowest, first = min(least)
+    lowest, first = min(candidates)
     one = np.zeros(1, dtype=int)
     found = minimize(
         lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None], one, case[[first]])[0]),
@@ -469,26 +475,26 @@ def _search(margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases:
     return (polished, worst) if polished <= lowest else (lowest, grid[place[first]])
 
 
-def _bound(
+def _branch_and_bound(
     margin: Cases, attitudes: Attitudes, angles: tuple[str, ...], cases: int, best: float
 ) -> tuple[float, int]:
     boxes, case = np.repeat(attitudes.box(angles)[None], cases, axis=0), np.arange(cases)
-    done, seen, most = np.inf, 0, BOUNDS.most_boxes if cases == 1 else BOUNDS.most_pairs
+    done, count, limit = np.inf, 0, BOUNDS.max_boxes if cases == 1 else BOUNDS.max_pairs
     while len(boxes):
-        seen += len(boxes)
+        count += len(boxes)
         bounds = _bounds_of_pairs(margin, attitudes, angles, boxes, case)
         enough = bounds >= BOUNDS.share * best
-        if seen > BOUNDS.first_boxes:
+        if count > BOUNDS.first_boxes:
             middles = dict(zip(angles, boxes[~enough].mean(axis=-1).T, strict=True))
             J, place = attitudes.numbers(middles), np.arange(int(np.sum(~enough)))
             inside = margin(J, place, case[~enough])
             # What a bound is below the value inside shrinks with the box, so that each has to be cut into
             # about so many.
             more = float(np.sum((inside - bounds[~enough]) / (inside - BOUNDS.share * best)))
-            enough |= seen + more > most
+            enough |= count + more > limit
         done = min(done, float(bounds[enough].min(initial=np.inf)))
         boxes, case = _halved(boxes[~enough]), np.tile(case[~enough], 2)
-    return min(done, best), seen
+    return min(done, best), count
 
 
 def _bounds_of_pairs(
@@ -496,8 +502,8 @@ def _bounds_of_pairs(
 ) -> Array:
     """Bounds of each box with its case; what boxes have in common is worked out once."""
     found = np.empty(len(boxes))
-    for k in range(0, len(boxes), BOUNDS.together):
-        own = slice(k, k + BOUNDS.together)
+    for k in range(0, len(boxes), BOUNDS.batch):
+        own = slice(k, k + BOUNDS.batch)
         every, place = np.unique(boxes[own].reshape(len(boxes[own]), -1), axis=0, return_inverse=True)
         J = _inverses(attitudes, angles, every.reshape(len(every), *boxes.shape[1:]))
         found[own] = margin(J, place.ravel(), case[own])
@@ -521,14 +527,14 @@ def _halved(boxes: Array) -> Array:
     return np.concatenate([first, second])
 
 
-def _algebra(attitudes: Attitudes) -> str:
+def _algebraic_proof(attitudes: Attitudes) -> str:
     if attitudes.angles(False):
         return "all headings: J J' = I, so M_q = J M J' has the eigenvalues of M"
     return "J is constant"
 
 
-def _bounds(attitudes: Attitudes, angles: tuple[str, ...], boxes: int, bound: float) -> str:
+def _interval_proof(attitudes: Attitudes, angles: tuple[str, ...], boxes: int, bound: float) -> str:
     tilted = [a for a in angles if a != "psi"]
-    within = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
-    said = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
-    return f"{said} for {within}all headings: interval arithmetic on {boxes} boxes"
+    ranges = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
+    claim = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
+    return f"{claim} for {ranges}all headings: interval arithmetic on {boxes} boxes"

@@ -107,7 +107,7 @@ class Condition:
 
 
 # --- PD -------------------------------------------------------------------------------------------
-_FROM_PD_ENERGY = "derived here from V = q_dot' M q_dot/2 + e' K_P e/2 along the closed loop"
+_PD_SOURCE = "derived here from V = q_dot' M q_dot/2 + e' K_P e/2 along the closed loop"
 
 PD_SPRING = Condition(
     "K_P", "printed", "K_P > 0", "K_P ≻ 0",
@@ -124,14 +124,14 @@ PD_DAMPER = Condition(
 DERIVED_PD_DAMPER = Condition(
     "K_V + D", "derived", "K_V + D > 0", "K_V + D_q ≻ 0",
     "Law and water together dissipate energy in every motion; V_dot = -q_dot' (K_V + D_q) q_dot.",
-    _FROM_PD_ENERGY,
+    _PD_SOURCE,
     lambda s: s.K_V + s.D, uses="D",
 )  # fmt: skip
 
 # --- PID ------------------------------------------------------------------------------------------
 _PAPER = "mini-AUV paper (2021), text between (33) and (34)"
 _UNITS = f"{_PAPER}, with units corrected"
-_FROM_PID_CANDIDATE = "derived here from V and V_dot along the closed loop"
+_PID_SOURCE = "derived here from V and V_dot along the closed loop"
 
 PRINTED_DAMPER = Condition(
     "K_V", "printed", "K_V > M", "λmin(K_V) > λmax(M_q)",
@@ -179,12 +179,12 @@ UNITS_LAST = Condition(
 POSITIVE_CANDIDATE = Condition(
     "V", "derived", "K_P - K_I/ι > ι² M", "K_P - K_I/ι - ι² M_q ≻ 0",
     "The Lyapunov function is positive everywhere but at the set-point.",
-    _FROM_PID_CANDIDATE,
+    _PID_SOURCE,
     lambda s: s.K_P - s.K_I / s.iota, lambda s: s.iota**2 * s.M, uses="M", uses_iota=True,
 )  # fmt: skip
 
 
-def _minus_candidate_rate(s: Quantities) -> Any:
+def _negative_candidate_rate(s: Quantities) -> Any:
     K = s.K_V + s.D
     cross = s.iota * K / 2
     return s.block([[s.iota * s.K_P - s.K_I, cross], [s.transposed(cross), K - s.iota * s.M]])
@@ -194,15 +194,15 @@ FALLING_CANDIDATE = Condition(
     "V_dot", "derived", "Q(ι) ≻ 0", "Q(ι) ≻ 0",
     "The Lyapunov function falls along every motion near the set-point; "
     "Q = [[ι K_P - K_I, ι K/2], [ι K/2, K - ι M_q]] with K = K_V + D_q.",
-    _FROM_PID_CANDIDATE,
-    _minus_candidate_rate, uses="MD", uses_iota=True,
+    _PID_SOURCE,
+    _negative_candidate_rate, uses="MD", uses_iota=True,
 )  # fmt: skip
 # The determinant of the block is a parabola in iota with discriminant (K k_p - M k_i)^2 - k_i K^3. Where it
 # is positive, V is as well: K^2/4 >= iota M (K - iota M) always.
 SOME_IOTA = Condition(
     "some iota", "derived", "K k_p - M k_i > K √(K k_i), K = k_v + d", "",
     "Necessary and sufficient for an ι with which this channel has a Lyapunov function.",
-    _FROM_PID_CANDIDATE,
+    _PID_SOURCE,
     lambda s: (s.K_V + s.D) * s.K_P - s.M * s.K_I,
     lambda s: (s.K_V + s.D) * s.root((s.K_V + s.D) * s.K_I), uses="MD",
 )  # fmt: skip
@@ -252,16 +252,11 @@ TWIST = Condition(
 )  # fmt: skip
 
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
-    "pd": (
-        PD_SPRING,
-        PD_DAMPER,
-        replace(PD_SPRING, form="derived", source=_FROM_PD_ENERGY),
-        DERIVED_PD_DAMPER,
-    ),
+    "pd": (PD_SPRING, PD_DAMPER, replace(PD_SPRING, form="derived", source=_PD_SOURCE), DERIVED_PD_DAMPER),
     "pid": (
         *(PRINTED_DAMPER, PRINTED_INTEGRAL, PRINTED_SPRING, PRINTED_LAST),
         *(UNITS_DAMPER, replace(PRINTED_INTEGRAL, form="units", source=_UNITS), UNITS_SPRING, UNITS_LAST),
-        replace(PRINTED_INTEGRAL, form="derived", source=_FROM_PID_CANDIDATE),
+        replace(PRINTED_INTEGRAL, form="derived", source=_PID_SOURCE),
         *(POSITIVE_CANDIDATE, FALLING_CANDIDATE, SOME_IOTA, ROUTH),
     ),
     "sliding-mode": (REACHES, SLIDES, DERIVED_REACHES, DERIVED_SLIDES),
@@ -316,11 +311,11 @@ class _PD(Candidate):
     invariant = "q~ = 0, nu = 0: elsewhere K_P q~ sets the vehicle in motion"
 
     def value(self, s: LawSignals) -> sm.Expr:
-        return _form(s.plant.nu, s.plant.M) / 2 + _form(s.error, s.K_P) / 2
+        return _quadratic_form(s.plant.nu, s.plant.M) / 2 + _quadratic_form(s.error, s.K_P) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
         rate = s.plant.J * s.plant.nu
-        return -_form(rate, s.K_V) - _form(s.plant.nu, s.plant.D)
+        return -_quadratic_form(rate, s.K_V) - _quadratic_form(s.plant.nu, s.plant.D)
 
 
 class _PID(_PD):
@@ -336,16 +331,16 @@ class _PID(_PD):
     def value(self, s: LawSignals) -> sm.Expr:
         momentum = s.plant.J_inverse.T * s.plant.M * s.plant.nu
         cross = -IOTA * (s.error.T * momentum)[0] + (s.states.T * s.K_I * s.error)[0]
-        return super().value(s) + cross + IOTA * _form(s.states, s.K_I) / 2
+        return super().value(s) + cross + IOTA * _quadratic_form(s.states, s.K_I) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
         """As stated, of q_dot = J nu and q~ = J b: b' D nu is q~' D_q q_dot, and so on, in fewer terms."""
         plant = s.plant
         rate, body = plant.J * plant.nu, plant.J_inverse * s.error
-        spring = _form(s.error, IOTA * s.K_P - s.K_I)
-        motion = _form(rate, s.K_V) + _form(plant.nu, plant.D - IOTA * plant.M)
-        swung = plant.C * body - plant.M * (plant.J_inverse * (plant.J_dot * body))  # J' C_q q~
-        cross = (s.error.T * s.K_V * rate)[0] + (body.T * plant.D * plant.nu)[0] - (plant.nu.T * swung)[0]
+        spring = _quadratic_form(s.error, IOTA * s.K_P - s.K_I)
+        motion = _quadratic_form(rate, s.K_V) + _quadratic_form(plant.nu, plant.D - IOTA * plant.M)
+        coriolis = plant.C * body - plant.M * (plant.J_inverse * (plant.J_dot * body))  # J' C_q q~
+        cross = (s.error.T * s.K_V * rate)[0] + (body.T * plant.D * plant.nu)[0] - (plant.nu.T * coriolis)[0]
         return -spring + IOTA * cross - motion
 
 
@@ -359,7 +354,7 @@ class _Sliding(Candidate):
     )
 
     def value(self, s: LawSignals) -> sm.Expr:
-        return _form(sliding_surface(s), sm.eye(len(s.error))) / 2
+        return _quadratic_form(sliding_surface(s), sm.eye(len(s.error))) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
         return -sum((s.K_Z * sliding_surface(s).applyfunc(sm.Abs)), sm.Integer(0))
@@ -384,7 +379,7 @@ class _Twisting(_Sliding):
 
     def value(self, s: LawSignals) -> sm.Expr:
         size = sliding_surface(s).applyfunc(sm.Abs)
-        return sum(s.K_2 * size, sm.Integer(0)) + _form(s.states, sm.eye(len(s.states))) / 2
+        return sum(s.K_2 * size, sm.Integer(0)) + _quadratic_form(s.states, sm.eye(len(s.states))) / 2
 
     def derivative(self, s: LawSignals) -> sm.Expr:
         root = sliding_surface(s).applyfunc(lambda e: sm.sqrt(sm.Abs(e)))
@@ -401,20 +396,20 @@ CANDIDATES: dict[str, Candidate] = {
 """The candidate of each law."""
 
 
-def _form(x: sm.Matrix, matrix: sm.Matrix) -> sm.Expr:
+def _quadratic_form(x: sm.Matrix, matrix: sm.Matrix) -> sm.Expr:
     return (x.T * matrix * x)[0]
 
 
-def along_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
+def closed_loop_derivative(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
     """Derivative of an expression along the closed loop of a law that gets the force it asks for.
 
     The sign of a velocity that switches parameters counts as constant.
     """
-    moved, slope, net = _in_the_loop(value, law, s)
+    moved, slope, net = _derivative_parts(value, law, s)
     return moved + (slope * s.plant.M.LUsolve(net))[0]
 
 
-def _in_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.Matrix, sm.Matrix]:
+def _derivative_parts(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.Matrix, sm.Matrix]:
     """The derivative of an expression but for accelerations, its slope in the velocities, and M nu_dot."""
     plant = s.plant
     rate = plant.J * plant.nu
@@ -431,40 +426,40 @@ def _in_the_loop(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.M
 def derivatives(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
     """The derivative of a law's candidate worked out from the model, and what it is said to be."""
     candidate, s = CANDIDATES[law.id], LawSignals(plant, law)
-    return along_the_loop(candidate.value(s), law, s), candidate.derivative(s)
+    return closed_loop_derivative(candidate.value(s), law, s), candidate.derivative(s)
 
 
-def compare(plant: Plant, law: Law) -> float:
+def derivative_difference(plant: Plant, law: Law) -> float:
     """Largest relative difference of the two with the numbers of the vehicle, in every sign set.
 
     Points are random, with random signs of pose, error and motion; gains are positive.
     """
-    s, candidate = LawSignals(in_numbers(plant), law), CANDIDATES[law.id]
-    moved, slope, net = _in_the_loop(candidate.value(s), law, s)
+    s, candidate = LawSignals(numeric_plant(plant), law), CANDIDATES[law.id]
+    moved, slope, net = _derivative_parts(candidate.value(s), law, s)
     parts = (sm.Matrix([moved, candidate.derivative(s)]), slope, s.plant.M, net)
     names = sorted(set().union(*(part.free_symbols for part in parts)), key=str)
     function = function_of(names, [part.tolist() for part in parts])
     signed = {*plant.eta, *plant.nu, *s.error, *s.states}
     random, worst = Random(COMPARISON.seed), 0.0
-    for way in _ways(plant):
-        signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | way
+    for switches in _sign_combinations(plant):
+        signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | switches
         values = {x: signs[x] * random.uniform(0.2, 1.2) for x in names}
-        values |= {_switch(v): sign for v, sign in way.items()}
+        values |= {_sign_symbol(v): sign for v, sign in switches.items()}
         (moved, stated), slope, M, net = map(np.array, function(*(values[x] for x in names)))
         one, other = float(moved[0] + (slope @ np.linalg.solve(M, net))[0, 0]), float(stated[0])
         worst = max(worst, abs(one - other) / max(abs(one), abs(other), 1e-12))
     return worst
 
 
-def _ways(plant: Plant) -> list[dict[sm.Symbol, float]]:
+def _sign_combinations(plant: Plant) -> list[dict[sm.Symbol, float]]:
     """Signs of the velocities that switch parameters: all of them, and some points at least."""
-    ways = [
+    combinations = [
         dict(zip(plant.reversing, w, strict=True)) for w in product((1.0, -1.0), repeat=len(plant.reversing))
     ]
-    return ways * max(1, -(-COMPARISON.points // len(ways)))
+    return combinations * max(1, -(-COMPARISON.points // len(combinations)))
 
 
-def _switch(velocity: sm.Symbol) -> sm.Symbol:
+def _sign_symbol(velocity: sm.Symbol) -> sm.Symbol:
     """The sign of a velocity as a number of its own, so that it counts as constant."""
     return symbol(f"sign_{velocity}")
 
@@ -484,9 +479,9 @@ class Lyapunov:
 def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
     """The candidate of a law with the comparison, and the equilibria of what is not pushed."""
     candidate = CANDIDATES[law.id]
-    difference = compare(plant, law)
+    difference = derivative_difference(plant, law)
     agrees = "equal" if difference < COMPARISON.tolerance else "NOT equal"
-    points = f"{len(_ways(plant))} random points, {difference:.0e} apart"
+    points = f"{len(_sign_combinations(plant))} random points, {difference:.0e} apart"
     return Lyapunov(
         candidate.V,
         candidate.V_dot,
@@ -497,7 +492,7 @@ def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
     )
 
 
-class _Filled:
+class _SubstitutedPlant:
     def __init__(self, plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> None:
         self._plant, self._values = plant, values
 
@@ -508,15 +503,15 @@ class _Filled:
         )
 
 
-def filled(plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> Plant:
+def substituted(plant: Plant, *values: Mapping[sm.Expr, sm.Expr]) -> Plant:
     """A plant whose matrices have values put in for symbols, one mapping after another."""
-    return cast(Plant, _Filled(plant, *values))
+    return cast(Plant, _SubstitutedPlant(plant, *values))
 
 
-def in_numbers(plant: Plant) -> Plant:
+def numeric_plant(plant: Plant) -> Plant:
     """A plant with numbers for the parameters, and symbols for the signs that switch them."""
-    switches = {sm.sign(v): _switch(v) for v in plant.reversing}
-    return filled(plant, switches, plant.numbers)
+    switches = {sm.sign(v): _sign_symbol(v) for v in plant.reversing}
+    return substituted(plant, switches, plant.numbers)
 
 
 def equilibria_without_thrust(plant: Plant, law: Law) -> str:

@@ -17,7 +17,7 @@ from undertow.model.composition import function_of
 from undertow.model.symbols import symbol
 from undertow.typing import Array
 
-from .attitude import ANGLES, FUNCTIONS, enclose, within
+from .attitude import ANGLES, FUNCTIONS, enclose, plus_minus
 from .problem import Problem, SignSet, Uncertainty, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, Channel, Row, ZeroDynamics
 
@@ -62,22 +62,22 @@ def linear_channels(problem: Problem) -> list[Channel]:
         return []
     found = []
     for i, axis, name in problem.channels:
-        own = [_channel(problem, one, i, axis, name) for one in problem.sets[:2]]
+        own = [_channel(problem, signs, i, axis, name) for signs in problem.sets[:2]]
         if len(own) == 2 and own[0].polynomial == own[1].polynomial:
             own = [replace(own[0], signs="both")]
         found += own
     return found
 
 
-def _channel(problem: Problem, one: SignSet, i: int, axis: int, name: str) -> Channel:
+def _channel(problem: Problem, signs: SignSet, i: int, axis: int, name: str) -> Channel:
     gains = {gain: float(v[i]) for gain, v in problem.values.items()}
-    damping = gains["K_V"] + float(one.damping[axis, axis])
-    polynomial = [float(one.inertia[axis, axis]), damping, gains["K_P"]]
+    damping = gains["K_V"] + float(signs.damping[axis, axis])
+    polynomial = [float(signs.inertia[axis, axis]), damping, gains["K_P"]]
     polynomial += [gains["K_I"]] if "K_I" in gains else []
     first = [float(row[0]) for row in routh_array(polynomial)]
     found = roots(polynomial)
     stable = all(a * b > 0 for a, b in pairwise(first)) and found[0].real < 0
-    return Channel(name, one.name, polynomial, first, found, stable)
+    return Channel(name, signs.name, polynomial, first, found, stable)
 
 
 # --- all axes together ------------------------------------------------------------------------
@@ -87,19 +87,19 @@ def coupled(problem: Problem) -> dict[str, list[complex]]:
     Of all headings, where they matter, the one with the root that grows fastest. Velocities whose signs
     differ have a set of their own, which is named where its root is beyond those of all forward or backward.
     """
-    if (problem.decoupled and not problem.heading_counts) or "K_P" not in problem.values:
+    if (problem.decoupled and not problem.heading_matters) or "K_P" not in problem.values:
         return {}
-    given, (_, stiffness) = _given(problem.gains), _static(problem.plant)
+    achieved, (_, stiffness) = _achieved_force(problem.gains), _restoring(problem.plant)
     found: dict[str, list[complex]] = {}
-    for one in problem.sets:
-        tried = [
-            (coupled_roots(problem.values, one.inertia, one.damping, given, stiffness, J), degrees)
+    for signs in problem.sets:
+        cases = [
+            (coupled_roots(problem.values, signs.inertia, signs.damping, achieved, stiffness, J), degrees)
             for degrees, J in problem.headings
         ]
-        roots_there, degrees = max(tried, key=lambda case: case[0][0].real)
-        of = "" if not problem.heading_counts else f"worst of {len(tried)} headings: {degrees:.0f} deg"
+        roots_there, degrees = max(cases, key=lambda case: case[0][0].real)
+        of = "" if not problem.heading_matters else f"worst of {len(cases)} headings: {degrees:.0f} deg"
         if len(found) < 2 or roots_there[0].real > max(r[0].real for r in found.values()):
-            found[", ".join(filter(None, (one.name, of)))] = roots_there
+            found[", ".join(filter(None, (signs.name, of)))] = roots_there
     return found
 
 
@@ -107,27 +107,31 @@ def coupled_roots(
     gains: dict[str, Array],
     inertia: Array,
     damping: Array,
-    given: Array,
+    achieved: Array,
     stiffness: Array,
     J: Array | None = None,
 ) -> list[complex]:
     """Eigenvalues of the loop linearised at rest, all axes together.
 
-    `gains` are diagonals in pose coordinates; inertia, damping, the force `given` for a wanted one and the
+    `gains` are diagonals in pose coordinates; inertia, damping, the force `achieved` for a wanted one and the
     stiffness of weight and buoyancy are of the body frame, shape (n, n). The law takes the weight off where
     its force is given; what is not given keeps its own. Without J the vehicle heads north on an even keel.
     """
     n = len(inertia)
     J = np.eye(n) if J is None else J
-    zero, one = np.zeros((n, n)), np.eye(n)
-    push = np.linalg.solve(inertia, given @ J.T)
-    own = np.linalg.solve(inertia, damping)
-    held = np.linalg.solve(inertia, (one - given) @ stiffness)
+    zero, identity = np.zeros((n, n)), np.eye(n)
+    drive = np.linalg.solve(inertia, achieved @ J.T)
+    drag = np.linalg.solve(inertia, damping)
+    spring = np.linalg.solve(inertia, (identity - achieved) @ stiffness)
     integral = np.diag(gains.get("K_I", np.zeros(n)))
     rows = [
         [zero, J, zero],
-        [-push @ np.diag(gains["K_P"]) - held, -push @ np.diag(gains["K_V"]) @ J - own, -push @ integral],
-        [one, zero, zero],
+        [
+            -drive @ np.diag(gains["K_P"]) - spring,
+            -drive @ np.diag(gains["K_V"]) @ J - drag,
+            -drive @ integral,
+        ],
+        [identity, zero, zero],
     ]
     matrix = np.block(rows)
     if "K_I" not in gains:
@@ -135,12 +139,12 @@ def coupled_roots(
     return _fastest_first(np.linalg.eigvals(matrix))
 
 
-def _given(gains: GainSet) -> Array:
+def _achieved_force(gains: GainSet) -> Array:
     """Force that the thrusters give for a unit of each wanted one, shape (n, n)."""
     n = len(gains.plant.nu)
     if len(gains.unactuated) in (0, n):  # all of it, or none
         return np.eye(n) * (not gains.unactuated)
-    return np.asarray(allocation_of(gains).given)
+    return np.asarray(allocation_of(gains).achieved)
 
 
 # --- what nothing pushes ----------------------------------------------------------------------
@@ -152,21 +156,21 @@ def zero_dynamics(gains: GainSet) -> ZeroDynamics | None:
     if not gains.unactuated:
         return None
     plant = gains.plant
-    own = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
-    left = (np.eye(len(plant.nu)) - _given(gains))[own]
-    force, stiffness = (left @ m for m in _static(plant))
+    unactuated = [plant.vehicle.degrees_of_freedom.index(d) for d in gains.unactuated]
+    unachieved = (np.eye(len(plant.nu)) - _achieved_force(gains))[unactuated]
+    force, stiffness = (unachieved @ m for m in _restoring(plant))
     poles: list[complex] = []
-    for one in sign_sets(plant):
-        M, D = ((left @ m)[:, own] for m in (one.inertia, one.damping))
-        falling = -np.linalg.solve(M, np.hstack([stiffness[:, own], D]))
-        rates = np.vstack([np.eye(len(own), 2 * len(own), len(own)), falling])
+    for signs in sign_sets(plant):
+        M, D = ((unachieved @ m)[:, unactuated] for m in (signs.inertia, signs.damping))
+        acceleration = -np.linalg.solve(M, np.hstack([stiffness[:, unactuated], D]))
+        rates = np.vstack([np.eye(len(unactuated), 2 * len(unactuated), len(unactuated)), acceleration])
         poles += map(complex, np.linalg.eigvals(rates))
     poles = sorted(set(poles), key=lambda p: (-p.real, p.imag))
-    stable, text = _fate(gains.unactuated, poles, force, stiffness[:, own])
+    stable, text = _unactuated_verdict(gains.unactuated, poles, force, stiffness[:, unactuated])
     return ZeroDynamics(gains.unactuated, poles, stable, text)
 
 
-def _static(plant: Plant) -> tuple[Array, Array]:
+def _restoring(plant: Plant) -> tuple[Array, Array]:
     """Force at the set-point on an even keel (n,), and its slope in the pose (n, n), left-hand side."""
     level = dict.fromkeys(plant.eta, 0)
     force = plant.g.xreplace(plant.numbers)
@@ -175,10 +179,12 @@ def _static(plant: Plant) -> tuple[Array, Array]:
     return at_rest[:, 0], stiffness
 
 
-def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness: Array) -> tuple[bool, str]:
+def _unactuated_verdict(
+    axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness: Array
+) -> tuple[bool, str]:
     """Whether unactuated axes come to rest, and where they go, in words."""
     names = ", ".join(axes)
-    if poles[0].real > SETTINGS.slowest:
+    if poles[0].real > SETTINGS.slowest_decay:
         return False, f"{names}: unactuated and unstable, it diverges at {poles[0].real:.4g} 1/s"
     free = [a for a, row in zip(axes, stiffness, strict=True) if not np.any(row)]
     loaded = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free and abs(f) > 1e-9}
@@ -187,7 +193,7 @@ def _fate(axes: tuple[str, ...], poles: list[complex], forces: Array, stiffness:
         return False, (
             f"{', '.join(loaded)}: a force of {force:.4g} (N, N m) acts at the set-point and nothing holds it"
         )
-    decaying = [p.real for p in poles if p.real < -SETTINGS.slowest]
+    decaying = [p.real for p in poles if p.real < -SETTINGS.slowest_decay]
     if len(poles) - len(decaying) > 2 * len(free) or not decaying:
         return False, f"{names}: unactuated, its motion neither decays nor grows"
     text = f"{names}: unactuated, its speed decays at {-max(decaying):.4g} 1/s"
@@ -209,17 +215,17 @@ def reaching(problem: Problem, uncertainty: Uncertainty) -> list[Row]:
     weight = _weight_error(problem, uncertainty)
     if not weight.any():
         return []
-    rows = ((one, i) for one in problem.sets[:2] for i in problem.driven)
-    return [_reaching_row(problem, one, i, float(weight[i]), uncertainty) for one, i in rows]
+    rows = ((signs, i) for signs in problem.sets[:2] for i in problem.driven)
+    return [_reaching_row(problem, signs, i, float(weight[i]), uncertainty) for signs, i in rows]
 
 
-def _reaching_row(problem: Problem, one: SignSet, i: int, weight: float, uncertainty: Uncertainty) -> Row:
-    drive = float(problem.values["K_Z"][i] * one.inertia[i, i])
-    slopes = np.abs(one.D.slopes[:, i, i]) + problem.values["Lambda"][i] * np.abs(one.M.slopes[:, i, i])
-    per_speed = float(slopes @ _half_widths(uncertainty, one.names))
-    speed = (drive - weight) / per_speed if per_speed > 0 else np.inf
+def _reaching_row(problem: Problem, signs: SignSet, i: int, weight: float, uncertainty: Uncertainty) -> Row:
+    force = float(problem.values["K_Z"][i] * signs.inertia[i, i])
+    slopes = np.abs(signs.D.slopes[:, i, i]) + problem.values["Lambda"][i] * np.abs(signs.M.slopes[:, i, i])
+    per_speed = float(slopes @ _half_widths(uncertainty, signs.names))
+    speed = (force - weight) / per_speed if per_speed > 0 else np.inf
     unit = "m/s" if i < 3 and problem.coordinates[i] in "xyz" else "rad/s"
-    holds = drive > weight
+    holds = force > weight
     return Row(
         form="derived",
         condition="reaching",
@@ -228,10 +234,10 @@ def _reaching_row(problem: Problem, one: SignSet, i: int, weight: float, uncerta
         "while K_Z M > |dg| + (|dD| + Λ |dM|) s.",
         source="derived here",
         scope=problem.coordinates[i],
-        signs=one.name,
-        left=drive,
+        signs=signs.name,
+        left=force,
         right=weight,
-        margin=drive - weight,
+        margin=force - weight,
         verdict=HOLDS if holds else FAILS,
         where=f"reached up to {speed:.3g} {unit}" if holds else "not even at rest",
     )
@@ -239,8 +245,8 @@ def _reaching_row(problem: Problem, one: SignSet, i: int, weight: float, uncerta
 
 def _half_widths(uncertainty: Uncertainty, names: tuple[str, ...]) -> Array:
     """Half the width of the interval of each parameter."""
-    spread = np.sqrt(np.diag(uncertainty.covariance(names))) if names else np.zeros(0)
-    return ndtri(0.5 + uncertainty.confidence / 2) * spread
+    sigmas = np.sqrt(np.diag(uncertainty.covariance(names))) if names else np.zeros(0)
+    return ndtri(0.5 + uncertainty.confidence / 2) * sigmas
 
 
 def _weight_error(problem: Problem, uncertainty: Uncertainty) -> Array:
@@ -261,6 +267,6 @@ def _largest(expression: sm.Expr, problem: Problem) -> float:
     if expression.free_symbols - set(angles):
         return np.inf
     tilt = problem.attitudes.tilt
-    ranges = map(within, (tilt, tilt, np.pi))
+    ranges = map(plus_minus, (tilt, tilt, np.pi))
     found = function_of(angles, expression, FUNCTIONS)(*ranges)
-    return float(enclose(found).size)
+    return float(enclose(found).magnitude)

@@ -17,20 +17,20 @@ from .by_law import Condition, equilibria_without_thrust, lyapunov
 from .channels import coupled, linear_channels, reaching, zero_dynamics
 from .problem import (
     ALL,
+    EXACT_PARAMETERS,
     NO_IOTA_THERE,
-    NO_SPREAD,
     NOMINAL,
     OPEN,
     SAMPLED,
+    ParameterBox,
     Problem,
-    Range,
+    RobustVerdict,
     SignSet,
     Span,
-    Spread,
     Uncertainty,
-    differing,
-    inside,
-    peak_of,
+    best_iota,
+    distinct_for,
+    interior_point,
 )
 from .region import region
 from .result import FAILS, HOLDS, NO_IOTA, UNPROVED, Agreement, Region, Report, Row
@@ -85,8 +85,8 @@ def check(
     _require_start(gains, start)
     _require_motion(gains)
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
-    everything = Problem(gains, tilt, _spread(gains, uncertainty, uncertain))
-    problem = everything.of_forms(forms)
+    full_problem = Problem(gains, tilt, _parameter_box(gains, uncertainty, uncertain))
+    problem = full_problem.with_forms(forms)
     _require_damping(problem)
     progress(0.1, "conditions")
     agreements = _agreements(problem, iota)
@@ -102,7 +102,7 @@ def check(
         channels=tuple(linear_channels(problem)),
         coupled=coupled(problem),
         lyapunov=lyapunov(gains.plant, gains.law, equilibria),
-        region=_region(everything.of_forms([_DERIVED]), start, rows, agreements),
+        region=_region(full_problem.with_forms([_DERIVED]), start, rows, agreements),
         zero_dynamics=zero_dynamics(gains),
         not_covered=dict(gains.plant.left_out),
         uncertainty=f"{uncertainty.confidence:.0%}, from the {uncertainty.source}",
@@ -122,24 +122,26 @@ def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
         raise UndertowError("start: every error is zero: state the largest ones, as x=0.5")
 
 
-def _spread(gains: GainSet, uncertainty: Uncertainty, uncertain: Uncertain) -> Spread:
+def _parameter_box(gains: GainSet, uncertainty: Uncertainty, uncertain: Uncertain) -> ParameterBox:
     """The intervals of the parameters that a region has to hold for."""
     if uncertain is None:
-        return NO_SPREAD
+        return EXACT_PARAMETERS
     if gains.law.id not in ("pd", "pid") or gains.unactuated:
         which = f"law '{gains.law.id}'" if gains.law.id not in ("pd", "pid") else "unactuated axes"
         raise UndertowError(f"--uncertain: with {which} no region is proved over parameters: leave it out")
     plant = gains.plant
-    moving = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
-    own = sorted(moving - plant.g.free_symbols - plant.B.free_symbols, key=str)
-    names = [str(s) for s in own]
+    uncertain_symbols = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(
+        plant.numbers
+    )
+    symbols = sorted(uncertain_symbols - plant.g.free_symbols - plant.B.free_symbols, key=str)
+    names = [str(s) for s in symbols]
     if uncertain == "stated":
         spans = uncertainty.intervals(names)
     else:
         shares = _shares(names, uncertain)
-        values = [float(plant.numbers[s]) for s in own]
+        values = [float(plant.numbers[s]) for s in symbols]
         spans = [(v - s * abs(v), v + s * abs(v)) for v, s in zip(values, shares, strict=True)]
-    found = {s: (low, high) for s, (low, high) in zip(own, spans, strict=True) if high > low}
+    found = {s: (low, high) for s, (low, high) in zip(symbols, spans, strict=True) if high > low}
     if not found:
         raise UndertowError(
             "--uncertain: no parameter of inertia or damping has a standard deviation, or all are zero: "
@@ -154,8 +156,8 @@ def _shares(names: Sequence[str], uncertain: float | Mapping[str, float]) -> lis
         uncertain = dict.fromkeys(names, uncertain)
     found = dict.fromkeys(names, 0.0)
     for name, share in uncertain.items():
-        own = [n for n in names if n in (name, f"{name}_forward", f"{name}_backward")]
-        if not own:
+        matching = [n for n in names if n in (name, f"{name}_forward", f"{name}_backward")]
+        if not matching:
             raise UndertowError(
                 f"--uncertain {name}: no such parameter of inertia or damping{nearest(name, names)}; there "
                 f"are {', '.join(names)}"
@@ -165,7 +167,7 @@ def _shares(names: Sequence[str], uncertain: float | Mapping[str, float]) -> lis
                 f"--uncertain {name} = {share:.4g} is not a fraction of a value: give one between 0 and 1, "
                 "such as 10%"
             )
-        found |= dict.fromkeys(own, share)
+        found |= dict.fromkeys(matching, share)
     return [found[n] for n in names]
 
 
@@ -175,10 +177,10 @@ def _require_motion(gains: GainSet) -> None:
     alone = {"x", "y"} & set(gains.signals.coordinates)
     if "psi" not in gains.signals.coordinates or len(alone) != 1:
         return
-    own, missing = across[alone.pop()]
+    present, missing = across[alone.pop()]
     raise UndertowError(
-        f"'{gains.plant.vehicle.name}' yaws and has {own} without {missing}: at a heading of 90 deg from its "
-        f"axis it cannot move along it, so that no condition holds at every heading; add {missing} to "
+        f"'{gains.plant.vehicle.name}' yaws and has {present} without {missing}: at a heading of 90 deg from "
+        f"its axis it cannot move along it, so that no condition holds at every heading; add {missing} to "
         "degrees_of_freedom, and to `unactuated` of the gains if nothing pushes it"
     )
 
@@ -200,12 +202,12 @@ def _region(
         are = "is" if len(problem.gains.unactuated) == 1 else "are"
         text = f"none is certified: {names} {are} unactuated, so V may rise"
         return Region("none", text, start=dict(start or {}), contains_start=False if start else None)
-    own = [a for a in agreements if a.form == _DERIVED]
+    derived_agreements = [a for a in agreements if a.form == _DERIVED]
     derived = [r for r in rows if r.form == _DERIVED]
     if not derived:
-        own = _agreements(problem, None)
-        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, own)
-    verdicts = [r.verdict for r in derived] + [a.verdict for a in own]
+        derived_agreements = _agreements(problem, None)
+        derived = _rows(problem, Uncertainty(problem.plant.vehicle), None, derived_agreements)
+    verdicts = [r.verdict for r in derived] + [a.verdict for a in derived_agreements]
     return region(problem, all(v == HOLDS for v in verdicts), start)
 
 
@@ -221,12 +223,12 @@ def _require_damping(problem: Problem) -> None:
 def _agreements(problem: Problem, iota: float | None) -> list[Agreement]:
     found = []
     for form in dict.fromkeys(c.form for c in problem.conditions):
-        own = [c for c in problem.conditions if c.form == form and not c.per_channel_only]
-        if not any(c.uses_iota for c in own):
+        conditions = [c for c in problem.conditions if c.form == form and not c.per_channel_only]
+        if not any(c.uses_iota for c in conditions):
             continue
-        span = problem.iota(own, problem.distinct)
-        served = span is not None and (iota is None or span[0] < iota < span[1])
-        found.append(Agreement(form, span, HOLDS if served else NO_IOTA if span is None else FAILS))
+        interval = problem.iota_interval(conditions, problem.relevant_sets)
+        holds = interval is not None and (iota is None or interval[0] < iota < interval[1])
+        found.append(Agreement(form, interval, HOLDS if holds else NO_IOTA if interval is None else FAILS))
     return found
 
 
@@ -244,30 +246,30 @@ def _rows(
         progress(0.1 + 0.7 * k / len(problem.conditions), condition.statement)
         for channel in [*([] if condition.per_channel_only else [None]), *problem.driven]:
             evaluation = _Evaluation(problem, condition, channel, spans.get(condition.form), iota)
-            rows += _over_sets(evaluation, uncertainty)
+            rows += _rows_over_sets(evaluation, uncertainty)
     return rows
 
 
-def _over_sets(evaluation: _Evaluation, uncertainty: Uncertainty) -> list[Row]:
+def _rows_over_sets(evaluation: _Evaluation, uncertainty: Uncertainty) -> list[Row]:
     """One row for all sets of parameters where they agree; of the mixed sets the worst, where it is worse."""
-    sets = evaluation.problem.distinct
-    rows = [evaluation.row(one, uncertainty) for one in sets[:2]]
-    if len(rows) == 2 and _alike(*rows):
+    sets = evaluation.problem.relevant_sets
+    rows = [evaluation.row(signs, uncertainty) for signs in sets[:2]]
+    if len(rows) == 2 and _same_verdicts(*rows):
         rows = [replace(rows[0], signs="both")]
-    first = {one.name for one in sets[:2]}
-    others = [one for one in differing(evaluation.condition, sets) if one.name not in first]
+    first = {signs.name for signs in sets[:2]}
+    others = [signs for signs in distinct_for(evaluation.condition, sets) if signs.name not in first]
     if evaluation.channel is not None or not others:
         return rows
     if any(r.verdict != HOLDS for r in rows):
-        others = [min(others, key=lambda one: evaluation.rank(one, rows[0].at_iota))]
+        others = [min(others, key=lambda signs: evaluation.rank(signs, rows[0].at_iota))]
     elif evaluation.proved(others):
         return rows
-    known = min(r.margin for r in rows)
-    mixed = [evaluation.row(one, uncertainty) for one in others]
-    return rows + [r for r in mixed if r.margin < known - 1e-12 * abs(known) and r.verdict != HOLDS]
+    least = min(r.margin for r in rows)
+    mixed = [evaluation.row(signs, uncertainty) for signs in others]
+    return rows + [r for r in mixed if r.margin < least - 1e-12 * abs(least) and r.verdict != HOLDS]
 
 
-def _alike(one: Row, other: Row) -> bool:
+def _same_verdicts(one: Row, other: Row) -> bool:
     keys = ("left", "right", "margin", "iota", "verdict")
     same = all(getattr(one, k) == getattr(other, k) for k in keys)
     return same and (one.box and one.box.verdict) == (other.box and other.box.verdict)
@@ -280,15 +282,15 @@ class _Evaluation:
     problem: Problem
     condition: Condition
     channel: int | None
-    together: Span | None  # the values of iota that serve all conditions of the form
-    given: float | None  # the iota that the caller states
+    common_iota: Span | None  # the values of iota that serve all conditions of the form
+    requested_iota: float | None  # the iota that the caller states
 
-    def row(self, one: SignSet, uncertainty: Uncertainty) -> Row:
-        condition, matrices, span = self.condition, self.channel is None, self._span(one)
-        iota = self._iota(one, span)
-        left, right, certificate = self._sides(one, iota)
-        verdict = self._verdict(certificate, span)
-        box, ellipsoid = self._ranges(one, iota, verdict, uncertainty)
+    def row(self, signs: SignSet, uncertainty: Uncertainty) -> Row:
+        condition, matrices, interval = self.condition, self.channel is None, self._iota_interval(signs)
+        iota = self._iota(signs, interval)
+        left, right, certificate = self._sides(signs, iota)
+        verdict = self._verdict(certificate, interval)
+        box, ellipsoid = self._robust_verdicts(signs, iota, verdict, uncertainty)
         return Row(
             form=condition.form,
             condition=condition.id,
@@ -296,113 +298,115 @@ class _Evaluation:
             about=condition.about,
             source=condition.source,
             scope="matrices" if self.channel is None else self.problem.coordinates[self.channel],
-            signs=one.name,
+            signs=signs.name,
             left=left,
             right=right,
-            margin=certificate.found,
+            margin=certificate.least_found,
             verdict=verdict,
-            iota=span,
+            iota=interval,
             uses_iota=condition.uses_iota,
             at_iota=iota,
-            where=_where(certificate),
+            where=_worst_attitude(certificate),
             box=box,
             ellipsoid=ellipsoid,
         )
 
-    def _verdict(self, certificate: Certificate, span: Span | None) -> str:
-        if certificate.found > 0:
+    def _verdict(self, certificate: Certificate, interval: Span | None) -> str:
+        if certificate.least_found > 0:
             return HOLDS if certificate.bound > 0 else UNPROVED
-        return NO_IOTA if self.condition.uses_iota and span is None else FAILS
+        return NO_IOTA if self.condition.uses_iota and interval is None else FAILS
 
-    def _iota(self, one: SignSet, span: Span | None) -> float | None:
+    def _iota(self, signs: SignSet, interval: Span | None) -> float | None:
         """The iota that serves all conditions if there is one, else one for this one, else the best."""
         if not self.condition.uses_iota:
             return None
-        if self.given is not None:
-            return self.given
-        if self.together is not None:
-            return inside(self.together)
-        if span:
-            return inside(span)
-        return peak_of(lambda iotas: self.problem.margins(self.condition, one, iotas, self.channel, few=True))
+        if self.requested_iota is not None:
+            return self.requested_iota
+        if self.common_iota is not None:
+            return interior_point(self.common_iota)
+        if interval:
+            return interior_point(interval)
+        return best_iota(
+            lambda iotas: self.problem.margins(self.condition, signs, iotas, self.channel, few=True)
+        )
 
-    def _span(self, one: SignSet) -> Span | None:
+    def _iota_interval(self, signs: SignSet) -> Span | None:
         condition = self.condition
-        return self.problem.iota([condition], [one], self.channel) if condition.uses_iota else None
+        return self.problem.iota_interval([condition], [signs], self.channel) if condition.uses_iota else None
 
-    def _margin(self, one: SignSet, iota: float | None) -> float:
-        return self.problem.margin(self.condition, one, iota, self.channel)
+    def _margin(self, signs: SignSet, iota: float | None) -> float:
+        return self.problem.margin(self.condition, signs, iota, self.channel)
 
-    def rank(self, one: SignSet, iota: float | None) -> float:
+    def rank(self, signs: SignSet, iota: float | None) -> float:
         """The margin at a few attitudes: which of many sets is worst, before anything is proved."""
         iotas = np.array([1.0 if iota is None else iota])
-        return float(self.problem.margins(self.condition, one, iotas, self.channel, few=True)[0])
+        return float(self.problem.margins(self.condition, signs, iotas, self.channel, few=True)[0])
 
     def proved(self, sets: Sequence[SignSet]) -> bool:
         """Whether it holds in all of these sets, at every attitude, with the iota that serves all."""
-        served = not self.condition.uses_iota or self.together is not None
+        served = not self.condition.uses_iota or self.common_iota is not None
         return served and self.problem.proved(self.condition, sets, self._iota(sets[0], None))
 
-    def _sides(self, one: SignSet, iota: float | None) -> tuple[float, float, Certificate]:
+    def _sides(self, signs: SignSet, iota: float | None) -> tuple[float, float, Certificate]:
         if self.channel is not None:
-            left, right = self.condition.sides(self.problem.channel_quantities(one, self.channel, iota))
-            margin = self._margin(one, iota)
+            left, right = self.condition.sides(self.problem.channel_quantities(signs, self.channel, iota))
+            margin = self._margin(signs, iota)
             return left, right, Certificate(margin, margin, {}, "")
-        certificate = self.problem.certificate(self.condition, one, iota)
+        certificate = self.problem.certificate(self.condition, signs, iota)
         inverse = self.problem.attitudes.at(certificate.worst)
-        left, right = self.condition.sides(self.problem.quantities(one, inverse, iota))
+        left, right = self.condition.sides(self.problem.quantities(signs, inverse, iota))
         return left, right, certificate
 
     # --- uncertainty
-    def _ranges(
-        self, one: SignSet, iota: float | None, verdict: str, uncertainty: Uncertainty
-    ) -> tuple[Range | None, Range | None]:
-        matters, features = self._features(one)
-        known = np.diag(uncertainty.covariance(one.names)) > 0
-        if not (matters & known).any():
+    def _robust_verdicts(
+        self, signs: SignSet, iota: float | None, verdict: str, uncertainty: Uncertainty
+    ) -> tuple[RobustVerdict | None, RobustVerdict | None]:
+        relevant, features = self._features(signs)
+        known = np.diag(uncertainty.covariance(signs.names)) > 0
+        if not (relevant & known).any():
             return None, None
         if verdict != HOLDS:
             nominal = {FAILS: NOMINAL, NO_IOTA: NO_IOTA_THERE}.get(verdict, OPEN)
-            found = Range(nominal, self._margin(one, iota), {})
+            found = RobustVerdict(nominal, self._margin(signs, iota), {})
             return found, found
-        margins = self._margins(one, iota)
+        margins = self._margins(signs, iota)
         return (
-            self._as_sampled(uncertainty.over_box(margins, one, matters & known)),
-            self._as_sampled(uncertainty.over_ellipsoid(margins, one, features)),
+            self._as_sampled(uncertainty.over_box(margins, signs, relevant & known)),
+            self._as_sampled(uncertainty.over_ellipsoid(margins, signs, features)),
         )
 
-    def _as_sampled(self, found: Range) -> Range:
+    def _as_sampled(self, found: RobustVerdict) -> RobustVerdict:
         """What holds at the sampled attitudes is not proved for all of them."""
-        sampled = self.channel is None and len(self.problem.few_attitudes) > 1
+        sampled = self.channel is None and len(self.problem.few_inverses) > 1
         return replace(found, verdict=SAMPLED) if sampled and found.verdict == ALL else found
 
-    def _margins(self, one: SignSet, iota: float | None) -> Callable[[Array], Array]:
+    def _margins(self, signs: SignSet, iota: float | None) -> Callable[[Array], Array]:
         """Margins of many parameters at once; one that a side alone decides comes as a single number."""
         problem, i = self.problem, self.channel
 
         def margins(theta: Array) -> Array:
             if i is not None:
-                quantities = [problem.channel_quantities(one, i, iota, theta)]
+                quantities = [problem.channel_quantities(signs, i, iota, theta)]
             else:
-                quantities = [problem.quantities(one, J, iota, theta) for J in problem.few_attitudes]
+                quantities = [problem.quantities(signs, J, iota, theta) for J in problem.few_inverses]
             found = [np.broadcast_to(self.condition.margin(q), len(theta)) for q in quantities]
             return np.asarray(np.min(found, axis=0))
 
         return margins
 
-    def _features(self, one: SignSet) -> tuple[Flags, Array]:
+    def _features(self, signs: SignSet) -> tuple[Flags, Array]:
         """Which parameters the margin depends on, and through which combinations of them."""
-        parts = [m for name, m in (("M", one.M), ("D", one.D)) if name in self.condition.uses]
-        if not parts or not len(one.names):
-            return np.zeros(len(one.names), dtype=bool), np.zeros((0, len(one.names)))
+        matrices = [m for name, m in (("M", signs.M), ("D", signs.D)) if name in self.condition.uses]
+        if not matrices or not len(signs.names):
+            return np.zeros(len(signs.names), dtype=bool), np.zeros((0, len(signs.names)))
         if self.channel is None:
-            matters = np.any([np.abs(m.slopes).max(axis=(1, 2)) > 0 for m in parts], axis=0)
-            return matters, np.eye(len(one.names))[matters]
-        features = np.array([m.slopes[:, self.channel, self.channel] for m in parts])
+            relevant = np.any([np.abs(m.slopes).max(axis=(1, 2)) > 0 for m in matrices], axis=0)
+            return relevant, np.eye(len(signs.names))[relevant]
+        features = np.array([m.slopes[:, self.channel, self.channel] for m in matrices])
         return np.any(features != 0, axis=0), features
 
 
-def _where(certificate: Certificate) -> str:
+def _worst_attitude(certificate: Certificate) -> str:
     if not certificate.worst:
         return certificate.proof
     angles = ", ".join(f"{a} = {np.degrees(v):.3g} deg" for a, v in certificate.worst.items())

@@ -13,7 +13,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
 from .attitude import Interval, enclose
-from .embedding import certainly_positive
+from .embedding import proved_positive_definite
 
 
 @dataclass(frozen=True)
@@ -23,15 +23,15 @@ class ProofSettings:
     room: float = 1e-7  # what bounds are widened by, relative: beyond all rounding of 64-bit numbers
     # Beyond the rounding of some products of matrices of twenty rows, relative to their norms.
     rounding: float = 1e-13
-    sum: float = 1e-15  # beyond the rounding of a sum of two numbers that is scaled, relative
+    sum_rounding: float = 1e-15  # beyond the rounding of a sum of two numbers that is scaled, relative
     level: float = 1e-9  # what a diagonal that is to be above a matrix is widened by, relative
-    together: int = 4096  # matrices that are looked at together: memory
+    batch: int = 4096  # matrices that are looked at together: memory
 
 
 SETTINGS = ProofSettings()
 
 
-def mean_roots(middle: Array, place: Any, count: int) -> Array:
+def mean_cholesky_factors(middle: Array, place: Any, count: int) -> Array:
     """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
     total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
     np.add.at(total, place, middle)
@@ -39,46 +39,46 @@ def mean_roots(middle: Array, place: Any, count: int) -> Array:
     return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
 
 
-def _cover(off: Array) -> Array:
+def _upper_bound(offsets: Array) -> Array:
     """T >= each of the matrices off (k, ends, size, size), shape (k, size, size)."""
-    if off.shape[1] == 1:
-        return np.zeros_like(off[:, 0])
-    largest = _part(off[:, 0], np.abs)  # the last end is the same turned round
-    for k in range(1, off.shape[1] - 1):
-        largest = largest + _part(off[:, k] - largest, lambda v: np.maximum(v, 0.0))
+    if offsets.shape[1] == 1:
+        return np.zeros_like(offsets[:, 0])
+    largest = _spectral_function(offsets[:, 0], np.abs)  # the last end is the same turned round
+    for k in range(1, offsets.shape[1] - 1):
+        largest = largest + _spectral_function(offsets[:, k] - largest, lambda v: np.maximum(v, 0.0))
     return largest
 
 
-def _part(matrices: Array, of: Callable[[Array], Array]) -> Array:
+def _spectral_function(matrices: Array, of: Callable[[Array], Array]) -> Array:
     """Symmetric matrices with a function of their eigenvalues."""
     values, vectors = np.linalg.eigh(matrices)
     return np.asarray((vectors * of(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def positive(matrices: Interval) -> Flags:
+def positive_definite(matrices: Interval) -> Flags:
     """By row of a stack, whether all of its matrices are positive definite, proved."""
     count = len(matrices)
-    if count == 0 or certainly_positive(matrices):
+    if count == 0 or proved_positive_definite(matrices):
         return np.ones(count, dtype=bool)
     if count == 1:
         return np.zeros(1, dtype=bool)
     halves = slice(None, count // 2), slice(count // 2, None)
-    return np.concatenate([positive(matrices[half]) for half in halves])
+    return np.concatenate([positive_definite(matrices[half]) for half in halves])
 
 
-def bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
+def bounded_on_level_set(P: Array, rows: Interval, bounds: Array) -> Flags:
     """By box, whether |row z| < bound on z' P z < 1, proved: bound^2 P - row row' is positive definite."""
     rows = rows * enclose(bounds[:, None]).reciprocal()
-    return positive(P - rows[..., :, None] * rows[..., None, :])
+    return positive_definite(P - rows[..., :, None] * rows[..., None, :])
 
 
-def doubled(P: Array, A: Array) -> Array:
+def lyapunov_operator(P: Array, A: Array) -> Array:
     """P A + A' P."""
-    held = P @ A
-    return np.asarray(held + np.swapaxes(held, -1, -2))
+    product = P @ A
+    return np.asarray(product + np.swapaxes(product, -1, -2))
 
 
-def touched(B: Array, row: Array) -> Any:
+def coupled_states(B: Array, row: Array) -> Any:
     """Places of the states that a row is about, with those that P ties to them."""
     found: Flags = row != 0
     for _ in range(2):
@@ -86,20 +86,20 @@ def touched(B: Array, row: Array) -> Any:
     return np.flatnonzero(found)
 
 
-def along(P: Array, A: Array, x: Array) -> Array:
+def quadratic_values(P: Array, A: Array, x: Array) -> Array:
     """x' P A x for directions x (k, size) and matrices A (k, ends, size, size)."""
     return np.asarray(np.einsum("ks,kest,kt->ke", x @ P, A, x))
 
 
 # --- sums -----------------------------------------------------------------------------------------
 @dataclass
-class Work:
+class MatrixBudget:
     """How many matrices a proof may still look at."""
 
-    left: int
+    remaining: int
 
 
-class Choices:
+class VertexTree:
     """The ends of one velocity in sets, by halving, and a matrix below all ends of each set.
 
     Attributes
@@ -109,7 +109,7 @@ class Choices:
     below : ndarray
         Shape (places, sets, size, size).
     off : ndarray
-        How far `below` is from the middle of the set, of the same shape.
+        How far `lower` is from the middle of the set, of the same shape.
     """
 
     def __init__(self, ends: Array) -> None:
@@ -122,29 +122,29 @@ class Choices:
             halves.append((-1, -1) if single else (len(ranges), len(ranges) + 1))
             ranges += [] if single else [(low, (low + high) // 2), ((low + high) // 2, high)]
         self.children = np.array(halves)
-        found = [_below(ends[:, low:high]) for low, high in ranges]
-        self.below, self.off = (np.stack(part, axis=1) for part in zip(*found, strict=True))
+        found = [_lower_bound(ends[:, low:high]) for low, high in ranges]
+        self.lower, self.offset = (np.stack(part, axis=1) for part in zip(*found, strict=True))
 
     @cached_property
     def sizes(self) -> Array:
-        """Norms of `below` and `off` together."""
-        return _norm(self.below) + _norm(self.off)
+        """Norms of `lower` and `offset` together."""
+        return _norm(self.lower) + _norm(self.offset)
 
 
 def _norm(matrices: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(matrices**2, axis=(-2, -1))))
 
 
-def _below(ends: Array) -> tuple[Array, Array]:
+def _lower_bound(ends: Array) -> tuple[Array, Array]:
     """A matrix below each of the ends (places, k, size, size), and how far it is from their middle."""
     centre = 0.5 * (ends[:, 0] + ends[:, -1])
     # Eigenvalues and eigenvectors are exact for a matrix nearby: SETTINGS.room is beyond how far it is.
     shift = (SETTINGS.room * _norm(ends).max(axis=1))[:, None, None] * np.eye(ends.shape[-1])
-    off = _cover(centre[:, None] - ends) + shift
-    return centre - off, off
+    offset = _upper_bound(centre[:, None] - ends) + shift
+    return centre - offset, offset
 
 
-def lowest(stack: Interval) -> Array:
+def lower_bound(stack: Interval) -> Array:
     """A symmetric matrix below all that each place of a stack holds."""
     symmetric = 0.5 * (stack + stack.T)
     middle, radius = symmetric.middle, symmetric.radius
@@ -152,7 +152,7 @@ def lowest(stack: Interval) -> Array:
     return np.asarray(middle - less[..., None] * np.eye(middle.shape[-1]))
 
 
-def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, work: Work) -> Flags:
+def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, budget: MatrixBudget) -> Flags:
     """By box of rows, whether rest + one of the ends of each is positive definite whichever they are, proved.
 
     The ends of a row are those at its `place`. With C_i in the middle of the ends and T_i >= C_i - end for
@@ -161,87 +161,98 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, wo
     uncertain linear matrix inequalities affected by interval uncertainty, SIAM J. Optim. 12, look for T_i
     by a program.)
     """
-    held = np.ones(box.max() + 1, dtype=bool)
-    work.left -= len(place)
-    if work.left < 0:
-        return ~held
+    proved = np.ones(box.max() + 1, dtype=bool)
+    budget.remaining -= len(place)
+    if budget.remaining < 0:
+        return ~proved
     centre = np.sum([0.5 * (e.middle[:, 0] + e.middle[:, -1]) for e in ends], axis=0)
     middle = rest.middle + centre[place]
-    held[box[~(np.linalg.eigvalsh(middle)[:, 0] > 0)]] = False
-    left = np.flatnonzero(held[box])
-    if len(left):
-        own, places = np.unique(place[left], return_inverse=True)
+    proved[box[~(np.linalg.eigvalsh(middle)[:, 0] > 0)]] = False
+    pending = np.flatnonzero(proved[box])
+    if len(pending):
+        used, places = np.unique(place[pending], return_inverse=True)
         # Triangular, so regular for certain: in these states rows are near the identity.
-        inverse = np.asarray(np.linalg.inv(mean_roots(middle[left], places, len(own))), dtype=float)
-        rows = lowest(_turned(rest[left], inverse[places]))
-        choices = [Choices(_lowest_turned(e[own], inverse[:, None])) for e in ends]
-        _cut(rows, places, choices, box[left], held, work)
-    return held
+        inverse = np.asarray(
+            np.linalg.inv(mean_cholesky_factors(middle[pending], places, len(used))), dtype=float
+        )
+        rows = lower_bound(_congruent(rest[pending], inverse[places]))
+        trees = [VertexTree(_congruent_lower_bound(e[used], inverse[:, None])) for e in ends]
+        _branch(rows, places, trees, box[pending], proved, budget)
+    return proved
 
 
-def _turned(stack: Interval, by: Array) -> Interval:
-    return by @ stack @ np.swapaxes(by, -1, -2)
+def _congruent(stack: Interval, transform: Array) -> Interval:
+    return transform @ stack @ np.swapaxes(transform, -1, -2)
 
 
-def _lowest_turned(stack: Interval, by: Array) -> Array:
-    """`lowest` of `_turned`; for intervals of hardly any width in numbers, lowered by more than rounding."""
+def _congruent_lower_bound(stack: Interval, transform: Array) -> Array:
+    """`lower_bound` of `_congruent`; nearly exact intervals in numbers, lowered by more than rounding."""
     if (stack.radius > SETTINGS.room * _norm(stack.middle)[..., None, None]).any():
-        return lowest(_turned(stack, by))
-    below = lowest(stack)
-    shift = SETTINGS.rounding * _norm(by) ** 2 * _norm(below)
-    return np.asarray(by @ below @ np.swapaxes(by, -1, -2) - shift[..., None, None] * np.eye(by.shape[-1]))
+        return lower_bound(_congruent(stack, transform))
+    below = lower_bound(stack)
+    shift = SETTINGS.rounding * _norm(transform) ** 2 * _norm(below)
+    return np.asarray(
+        transform @ below @ np.swapaxes(transform, -1, -2)
+        - shift[..., None, None] * np.eye(transform.shape[-1])
+    )
 
 
-def _cut(rows: Array, place: Any, choices: list[Choices], box: Any, held: Flags, work: Work) -> None:
-    """Take boxes that are not proved out of `held`; all of them where the work is too much."""
-    pending = [(np.arange(len(rows)), np.zeros((len(rows), len(choices)), dtype=int))]
+def _branch(
+    rows: Array, place: Any, trees: list[VertexTree], box: Any, proved: Flags, budget: MatrixBudget
+) -> None:
+    """Take boxes that are not proved out of `proved`; all of them where the work is too much."""
+    pending = [(np.arange(len(rows)), np.zeros((len(rows), len(trees)), dtype=int))]
     while pending:
-        row, picks = pending.pop()
-        row, picks = row[held[box[row]]], picks[held[box[row]]]
-        if len(row) > SETTINGS.together:
-            pending.append((row[SETTINGS.together :], picks[SETTINGS.together :]))
-            row, picks = row[: SETTINGS.together], picks[: SETTINGS.together]
-        work.left -= len(row)
-        if work.left < 0:
-            held[:] = False
+        rows_left, sets = pending.pop()
+        rows_left, sets = rows_left[proved[box[rows_left]]], sets[proved[box[rows_left]]]
+        if len(rows_left) > SETTINGS.batch:
+            pending.append((rows_left[SETTINGS.batch :], sets[SETTINGS.batch :]))
+            rows_left, sets = rows_left[: SETTINGS.batch], sets[: SETTINGS.batch]
+        budget.remaining -= len(rows_left)
+        if budget.remaining < 0:
+            proved[:] = False
             return
-        if len(row):
-            open_, x = _open(rows[row], place[row], picks, choices)
-            row, picks = row[open_], picks[open_]
-            lost, cut = _to_cut(rows[row], place[row], picks, choices, x)
-            held[box[row[lost]]] = False
-            pending += [(row[~lost], _half(picks[~lost], cut[~lost], choices, k)) for k in (0, 1)]
+        if len(rows_left):
+            unproved, x = _unproved(rows[rows_left], place[rows_left], sets, trees)
+            rows_left, sets = rows_left[unproved], sets[unproved]
+            refuted, branch_on = _next_branch(rows[rows_left], place[rows_left], sets, trees, x)
+            proved[box[rows_left[refuted]]] = False
+            pending += [
+                (rows_left[~refuted], _halve(sets[~refuted], branch_on[~refuted], trees, k)) for k in (0, 1)
+            ]
 
 
-def _half(picks: Any, cut: Any, choices: list[Choices], which: int) -> Any:
+def _halve(sets: Any, branch_on: Any, trees: list[VertexTree], half: int) -> Any:
     """The sets of ends with one half of that which is cut."""
-    found = picks.copy()
-    for i, choice in enumerate(choices):
-        found[cut == i, i] = choice.children[picks[cut == i, i], which]
+    found = sets.copy()
+    for i, tree in enumerate(trees):
+        found[branch_on == i, i] = tree.children[sets[branch_on == i, i], half]
     return found
 
 
-def _open(rows: Array, place: Any, picks: Any, choices: list[Choices]) -> tuple[Any, Array]:
+def _unproved(rows: Array, place: Any, sets: Any, trees: list[VertexTree]) -> tuple[Any, Array]:
     """Which rows are not proved with these sets of ends, and the worst direction of each of them."""
-    pairs = list(zip(choices, picks.T, strict=True))
-    total = rows + sum(c.below[place, p] for c, p in pairs)
+    pairs = list(zip(trees, sets.T, strict=True))
+    total = rows + sum(c.lower[place, p] for c, p in pairs)
     size = _norm(rows) + sum(c.sizes[place, p] for c, p in pairs)
-    open_ = np.flatnonzero(~(np.linalg.eigvalsh(total)[:, 0] > SETTINGS.room * size))
-    return open_, np.linalg.eigh(total[open_])[1][..., 0]
+    unproved = np.flatnonzero(~(np.linalg.eigvalsh(total)[:, 0] > SETTINGS.room * size))
+    return unproved, np.linalg.eigh(total[unproved])[1][..., 0]
 
 
-def _to_cut(rows: Array, place: Any, picks: Any, choices: list[Choices], x: Array) -> tuple[Flags, Array]:
+def _next_branch(
+    rows: Array, place: Any, sets: Any, trees: list[VertexTree], x: Array
+) -> tuple[Flags, Array]:
     """Rows that are lost, and for the others of which velocity the ends are cut.
 
     A row is lost where the worst ends for its direction leave nothing of it, or where each set is one end.
     """
     least = np.einsum("ks,kst,kt->k", x, rows, x)
-    taken = np.zeros((len(rows), len(choices)))
-    for i, (choice, pick) in enumerate(zip(choices, picks.T, strict=True)):
-        least = least + along(np.eye(x.shape[-1]), choice.ends[place], x).min(axis=-1)
-        taken[:, i] = np.einsum("ks,kst,kt->k", x, choice.off[place, pick], x)
-        taken[choice.children[pick, 0] < 0, i] = -np.inf
-    return (least <= 0) | np.isinf(taken).all(axis=1), taken.argmax(axis=1)
+    lost = np.zeros((len(rows), len(trees)))
+    for i, (tree, chosen) in enumerate(zip(trees, sets.T, strict=True)):
+        least = least + quadratic_values(np.eye(x.shape[-1]), tree.ends[place], x).min(axis=-1)
+        lost[:, i] = np.einsum("ks,kst,kt->k", x, tree.offset[place, chosen], x)
+        lost[tree.children[chosen, 0] < 0, i] = -np.inf
+    return (least <= 0) | np.isinf(lost).all(axis=1), lost.argmax(axis=1)
 
 
 # --- programs -----------------------------------------------------------------------------------------
@@ -249,11 +260,11 @@ ACCURACY = 1e-4
 """Relative, of objective and forms: what is found is proved afterwards, with more room than that."""
 
 
-class Form(NamedTuple):
+class LMI(NamedTuple):
     """constant + sum x_k forms_k has to be positive semidefinite."""
 
     constant: Array
-    forms: Array
+    coefficients: Array
 
 
 class Solution(NamedTuple):
@@ -271,19 +282,21 @@ class Solution(NamedTuple):
     duals: list[Array]
 
 
-def solved(cost: Array, forms: Sequence[Form]) -> Solution | None:
+def solve_sdp(cost: Array, inequalities: Sequence[LMI]) -> Solution | None:
     """x of least cost' x for which every form is positive semidefinite, or None where there is none."""
     clarabel = _solver()
     from scipy.sparse import csc_matrix
 
-    rows = [_packed(f.forms).T for f in forms]
+    rows = [_packed(f.coefficients).T for f in inequalities]
     A = csc_matrix(-np.concatenate(rows))
-    b = np.concatenate([_packed(f.constant[None])[0] for f in forms])
-    cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in forms]
-    none = csc_matrix((len(cost), len(cost)))
+    b = np.concatenate([_packed(f.constant[None])[0] for f in inequalities])
+    cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in inequalities]
+    no_quadratic_cost = csc_matrix((len(cost), len(cost)))
     # Cut into their cliques, forms are solved several times as fast; where rounding stops that, whole.
-    for cut in (True, False):
-        solution = clarabel.DefaultSolver(none, cost, A, b, cones, _settings(clarabel, cut)).solve()
+    for decompose in (True, False):
+        solution = clarabel.DefaultSolver(
+            no_quadratic_cost, cost, A, b, cones, _settings(clarabel, decompose)
+        ).solve()
         if str(solution.status) in ("Solved", "AlmostSolved"):
             break
         if "Infeasible" in str(solution.status):
@@ -291,11 +304,11 @@ def solved(cost: Array, forms: Sequence[Form]) -> Solution | None:
     else:
         return None
     sizes = np.cumsum([r.shape[0] for r in rows])[:-1]
-    duals = map(_unpacked, np.split(np.array(solution.z), sizes), (len(f.constant) for f in forms))
+    duals = map(_unpacked, np.split(np.array(solution.z), sizes), (len(f.constant) for f in inequalities))
     return Solution(np.array(solution.x), list(duals))
 
 
-def _settings(clarabel: Any, cut: bool) -> Any:
+def _settings(clarabel: Any, decompose: bool) -> Any:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = 80
@@ -303,7 +316,7 @@ def _settings(clarabel: Any, cut: bool) -> Any:
     settings.direct_solve_method = "faer"  # dense blocks: twice as fast as the default
     # Programs come scaled and need few digits: without these two it takes half the time.
     settings.equilibrate_enable = settings.iterative_refinement_enable = False
-    settings.chordal_decomposition_enable = cut
+    settings.chordal_decomposition_enable = decompose
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ACCURACY
     return settings
 

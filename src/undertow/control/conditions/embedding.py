@@ -16,25 +16,25 @@ from undertow.errors import UndertowError
 from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
-from .attitude import ANGLES, Interval, block, enclose, enclosing, within
+from .attitude import ANGLES, Interval, block, enclose, enclosing, plus_minus
 from .commands import (
     Commands,
-    Inverses,
-    Slopes,
+    InertiaInverses,
+    ParameterSlopes,
     Term,
     inverses_of_inertia,
-    plain,
-    shifts,
+    numeric_matrix,
+    shift_symbols,
     sizes_and_signs,
     terms_of,
 )
-from .problem import NO_SPREAD, Problem, Spread
+from .problem import EXACT_PARAMETERS, ParameterBox, Problem
 
 _EPS = float(np.finfo(float).eps)
 _ANGLES = [symbol(a) for a in ANGLES]
 
 
-def certainly_positive(matrix: Interval) -> bool:
+def proved_positive_definite(matrix: Interval) -> bool:
     """Whether every symmetric matrix in a stack of intervals is positive definite, proved.
 
     By the Cholesky factorisation in floating point of a matrix that is lowered by the radii and by a bound of
@@ -61,31 +61,31 @@ def certainly_positive(matrix: Interval) -> bool:
 class Jet:
     """A matrix that depends on one angle, with its first two derivatives, all as intervals."""
 
-    def __init__(self, value: Interval, slope: Interval, bend: Interval) -> None:
-        self.value, self.slope, self.bend = value, slope, bend
+    def __init__(self, value: Interval, slope: Interval, curvature: Interval) -> None:
+        self.value, self.slope, self.curvature = value, slope, curvature
 
     def __matmul__(self, other: Any) -> Jet:
         o = _jet(other)
-        bend = self.bend @ o.value + 2.0 * (self.slope @ o.slope) + self.value @ o.bend
-        return Jet(self.value @ o.value, self.slope @ o.value + self.value @ o.slope, bend)
+        curvature = self.curvature @ o.value + 2.0 * (self.slope @ o.slope) + self.value @ o.curvature
+        return Jet(self.value @ o.value, self.slope @ o.value + self.value @ o.slope, curvature)
 
     def __add__(self, other: Any) -> Jet:
         o = _jet(other)
-        return Jet(self.value + o.value, self.slope + o.slope, self.bend + o.bend)
+        return Jet(self.value + o.value, self.slope + o.slope, self.curvature + o.curvature)
 
     def __neg__(self) -> Jet:
-        return Jet(-self.value, -self.slope, -self.bend)
+        return Jet(-self.value, -self.slope, -self.curvature)
 
     def __sub__(self, other: Any) -> Jet:
         return self + -_jet(other)
 
     def __mul__(self, other: Array) -> Jet:
-        return Jet(self.value * other, self.slope * other, self.bend * other)
+        return Jet(self.value * other, self.slope * other, self.curvature * other)
 
     @property
     def T(self) -> Jet:
         """Transposes."""
-        return Jet(self.value.T, self.slope.T, self.bend.T)
+        return Jet(self.value.T, self.slope.T, self.curvature.T)
 
 
 def _jet(value: Any) -> Jet:
@@ -130,8 +130,8 @@ class Matrices:
     """What the loop is made of at some velocities, or what a velocity adds to it."""
 
     inverse: Interval  # of the mass matrix, shape (k, n, n)
-    moving: Interval  # C + D
-    turning: Interval  # S(omega) of the translations, zero elsewhere
+    velocity: Interval  # C + D
+    skew: Interval  # S(omega) of the translations, zero elsewhere
 
 
 @dataclass(frozen=True)
@@ -162,11 +162,11 @@ class Corners:
 
     rest: Matrices
     ends: Sequence[Matrices]
-    bend: Matrices
+    hull: Matrices
     switching: Sequence[int]
     values: Sequence[Array]
-    shifted: Sequence[tuple[Matrices, Matrices]]
-    beyond: Matrices
+    shifts: Sequence[tuple[Matrices, Matrices]]
+    remainder: Matrices
 
     @property
     def cases(self) -> int:
@@ -194,47 +194,47 @@ class Embedding:
         plant = problem.plant
         dofs = plant.vehicle.dof_indices
         self.n = len(dofs)
-        self.shifts = [i for i, d in enumerate(dofs) if d < 3]
-        self.turns = [i for i, d in enumerate(dofs) if d >= 3]
+        self.translations = [i for i, d in enumerate(dofs) if d < 3]
+        self.rotations = [i for i, d in enumerate(dofs) if d >= 3]
         self._gains = [np.diag(problem.values[g]) for g in ("K_P", "K_V", "K_I") if g in problem.values]
         self.integral = "K_I" in problem.values
         self.size = (3 if self.integral else 2) * self.n
-        rotation, unit = rotation_of(plant), sm.eye(len(self.shifts))
-        self._turned_by_body = self._commutes(rotation)
-        self._turn, left = (rotation, unit) if self._turned_by_body else (unit, rotation)
-        whole = sm.eye(self.n)
-        for i, a in enumerate(self.shifts):
-            for j, b in enumerate(self.shifts):
-                whole[a, b] = left[i, j]
+        rotation, unit = rotation_of(plant), sm.eye(len(self.translations))
+        self._in_body_frame = self._gains_commute(rotation)
+        self._frame_rotation, rest_rotation = (rotation, unit) if self._in_body_frame else (unit, rotation)
+        L = sm.eye(self.n)
+        for i, a in enumerate(self.translations):
+            for j, b in enumerate(self.translations):
+                L[a, b] = rest_rotation[i, j]
         N = sm.eye(self.n)
-        for a in self.turns:
-            for b in self.turns:
+        for a in self.rotations:
+            for b in self.rotations:
                 N[a, b] = plant.J[a, b]
-        self._matrices = {"L": whole, "N": N}
+        self._matrices = {"L": L, "N": N}
         self._functions: dict[str, Callable[..., Interval]] = {}
-        self.angles = tuple(a for a in ANGLES if symbol(a) in (whole.free_symbols | N.free_symbols))
+        self.angles = tuple(a for a in ANGLES if symbol(a) in (L.free_symbols | N.free_symbols))
 
     # --- frames -------------------------------------------------------------------------------
-    def _commutes(self, turn: sm.Matrix) -> bool:
-        own = [np.diag(K)[self.shifts] for K in self._gains]
-        pairs = product(range(turn.rows), repeat=2)
-        return all(turn[i, j] == 0 or all(k[i] == k[j] for k in own) for i, j in pairs if i != j)
+    def _gains_commute(self, rotation: sm.Matrix) -> bool:
+        diagonals = [np.diag(K)[self.translations] for K in self._gains]
+        pairs = product(range(rotation.rows), repeat=2)
+        return all(rotation[i, j] == 0 or all(k[i] == k[j] for k in diagonals) for i, j in pairs if i != j)
 
     @property
     def frame_name(self) -> str:
         """Which frame errors stand in."""
-        return "body" if self._turned_by_body else "earth"
+        return "body" if self._in_body_frame else "earth"
 
     @cached_property
     def groups(self) -> list[list[int]]:
         """Coordinates that the frame mixes, so that a bound on one has to be that on all of them."""
-        places = range(len(self.shifts))
-        mixed = [[j for j in places if self._turn[i, j] != 0] for i in places]
-        joined: list[set[int]] = []
+        indices = range(len(self.translations))
+        mixed = [[j for j in indices if self._frame_rotation[i, j] != 0] for i in indices]
+        merged: list[set[int]] = []
         for row in map(set, mixed):
-            touching = [g for g in joined if g & row]
-            joined = [g for g in joined if not g & row] + [row.union(*touching)]
-        return [sorted(self.shifts[i] for i in g) for g in joined] + [[i] for i in self.turns]
+            touching = [g for g in merged if g & row]
+            merged = [g for g in merged if not g & row] + [row.union(*touching)]
+        return [sorted(self.translations[i] for i in g) for g in merged] + [[i] for i in self.rotations]
 
     def _at(self, name: str, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
         """L or N, or a derivative by an angle, shape (boxes, 1, n, n)."""
@@ -253,12 +253,12 @@ class Embedding:
 
     # --- velocities -----------------------------------------------------------------------------
     @cached_property
-    def _moving(self) -> _Moving:
+    def _velocity(self) -> _Velocity:
         """C + D and M as functions of velocities, their magnitudes and signs."""
-        plant, nu, spread = self.plant, list(self.plant.nu), self.problem.spread
+        plant, nu, box = self.plant, list(self.plant.nu), self.problem.parameter_box
         sizes, signs = sizes_and_signs(plant)
-        moving = plain(plant, plant.C + plant.D, spread).applyfunc(sm.expand)
-        switching = _switching(plant, plain(plant, plant.M))
+        moving = numeric_matrix(plant, plant.C + plant.D, box).applyfunc(sm.expand)
+        switching = _switching(plant, numeric_matrix(plant, plant.M))
         first = [sm.Symbol(f"first_{v}") for v in nu]
         rest = moving.xreplace(dict.fromkeys([*nu, *sizes], sm.Integer(0)))
         added = (moving - rest.xreplace(dict(zip(signs, first, strict=True)))).applyfunc(sm.expand)
@@ -266,104 +266,116 @@ class Embedding:
         kinds = zip(signs, sizes, strict=True)  # a velocity turns the frame at least
         counts = [2 if i in switching else 4 if s in used else 3 if a in used else 2
                   for i, (s, a) in enumerate(kinds)]  # fmt: skip
-        added_of = enclosing([*nu, *sizes, *signs, *first, *shifts(spread)], added)
-        every = [within(np.ones(1))] * len(spread)
-        return _Moving(rest, lambda *values: added_of(*values, *every), switching, counts)
+        enclosed = enclosing([*nu, *sizes, *signs, *first, *shift_symbols(box)], added)
+        any_shift = [plus_minus(np.ones(1))] * len(box)
+        return _Velocity(rest, lambda *values: enclosed(*values, *any_shift), switching, counts)
 
     @cached_property
-    def _at_rest(self) -> tuple[Array, Inverses, Slopes]:
+    def _at_rest(self) -> tuple[Array, InertiaInverses, ParameterSlopes]:
         """Cases of the signs, and in each of them the inverse of M, and C + D without motion."""
-        cases, spread = sign_cases(self._moving.switching, self.n), self.problem.spread
-        still = Slopes(sizes_and_signs(self.plant)[1], self._moving.rest, spread, cases)
-        return cases, inverses_of_inertia(self.problem, cases), still
+        cases, box = sign_cases(self._velocity.switching, self.n), self.problem.parameter_box
+        at_rest = ParameterSlopes(sizes_and_signs(self.plant)[1], self._velocity.rest, box, cases)
+        return cases, inverses_of_inertia(self.problem, cases), at_rest
 
     def corners(self, speeds: Array) -> Corners:
         """The corners of |nu_i| <= speeds_i."""
-        m, n = self._moving, self.n
-        cases, inverses, still = self._at_rest
-        whole, zero = inverses.whole, np.zeros((len(cases), n))
-        none = enclose(self._turning(zero))
-        rest = Matrices(inverses.middle + within(inverses.rest), still.value + within(still.curved), none)
-        beyond = Matrices(whole - inverses.middle, within(still.size), none)
-        shifted = [
-            (Matrices(slope, still.value, none), Matrices(inverses.middle, each, none))
-            for slope, each in zip(inverses.slopes, still.each, strict=True)
-        ]
-        ends, values = zip(*(self._ends(i, float(speeds[i]), cases, whole) for i in range(n)), strict=True)
-        nu, either = within(speeds[None]), within(np.ones((1, n)))
-        hull = whole.lo.min(axis=0)[None], whole.hi.max(axis=0)[None]
-        at_rest = still.value + within(still.size)
-        moving = Interval(at_rest.lo.min(axis=0)[None], at_rest.hi.max(axis=0)[None]) + m.added(
-            *_columns(nu), *_columns(abs(nu)), *_columns(either), *_columns(either)
+        m, n = self._velocity, self.n
+        cases, inverses, damping = self._at_rest
+        inverse, zero = inverses.enclosure, np.zeros((len(cases), n))
+        still = enclose(self._skew(zero))
+        rest = Matrices(
+            inverses.middle + plus_minus(inverses.remainder),
+            damping.value + plus_minus(damping.remainder),
+            still,
         )
-        turning = within(np.abs(self._turning(np.array(speeds, dtype=float)[None])))
-        bend = Matrices(Interval(*hull), moving, turning)
-        return Corners(rest, ends, bend, m.switching, values, shifted, beyond)
+        remainder = Matrices(inverse - inverses.middle, plus_minus(damping.magnitude), still)
+        shifts = [
+            (Matrices(slope, damping.value, still), Matrices(inverses.middle, each, still))
+            for slope, each in zip(inverses.slopes, damping.slopes, strict=True)
+        ]
+        ends, values = zip(*(self._ends(i, float(speeds[i]), cases, inverse) for i in range(n)), strict=True)
+        nu, any_sign = plus_minus(speeds[None]), plus_minus(np.ones((1, n)))
+        hull = inverse.lo.min(axis=0)[None], inverse.hi.max(axis=0)[None]
+        at_rest = damping.value + plus_minus(damping.magnitude)
+        velocity = Interval(at_rest.lo.min(axis=0)[None], at_rest.hi.max(axis=0)[None]) + m.added(
+            *_columns(nu), *_columns(abs(nu)), *_columns(any_sign), *_columns(any_sign)
+        )
+        spin = plus_minus(np.abs(self._skew(np.array(speeds, dtype=float)[None])))
+        total = Matrices(Interval(*hull), velocity, spin)
+        return Corners(rest, ends, total, m.switching, values, shifts, remainder)
 
     def _ends(self, i: int, speed: float, cases: Array, inverse: Interval) -> tuple[Matrices, Array]:
         """What the ends of one velocity add in every case, and its value at them, (cases, ends)."""
-        m, switched = self._moving, i in self._moving.switching
+        m, switched = self._velocity, i in self._velocity.switching
         rows = []
         for k, case in enumerate(cases):
-            own = [(case[i] * speed, case[i]), (0.0, case[i])] if switched else _corners(speed, m.counts[i])
+            own = (
+                [(case[i] * speed, case[i]), (0.0, case[i])]
+                if switched
+                else _ends_of_speed(speed, m.counts[i])
+            )
             rows += [(k, value, sign) for value, sign in own]
-        place = np.array([k for k, _, _ in rows])
-        nu, signs = np.zeros((len(rows), self.n)), cases[place].copy()
+        case_of_row = np.array([k for k, _, _ in rows])
+        nu, signs = np.zeros((len(rows), self.n)), cases[case_of_row].copy()
         nu[:, i], signs[:, i] = [v for _, v, _ in rows], [s for _, _, s in rows]
         points = [enclose(c) for c in (*nu.T, *np.abs(nu).T, *signs.T)]
-        added = m.added(*points, *_columns(cases[place]))
-        ends = Matrices(inverse[place], added, enclose(self._turning(nu)))
+        added = m.added(*points, *_columns(cases[case_of_row]))
+        ends = Matrices(inverse[case_of_row], added, enclose(self._skew(nu)))
         return ends, nu[:, i].reshape(len(cases), -1)
 
-    def _turning(self, nu: Array) -> Array:
+    def _skew(self, nu: Array) -> Array:
         """S(omega) of the translations, shape (k, n, n)."""
         dofs = list(self.plant.vehicle.dof_indices)
         omega = np.zeros((len(nu), 3))
-        for i in self.turns:
+        for i in self.rotations:
             omega[:, dofs[i] - 3] = nu[:, i]
         p, q, r = omega.T
         zero = np.zeros_like(p)
         S = np.array([[zero, -r, q], [r, zero, -p], [-q, p, zero]]).transpose(2, 0, 1)
         found = np.zeros((len(nu), self.n, self.n))
-        own = [dofs[i] for i in self.shifts]
-        found[np.ix_(range(len(nu)), self.shifts, self.shifts)] = S[np.ix_(range(len(nu)), own, own)]
+        own = [dofs[i] for i in self.translations]
+        found[np.ix_(range(len(nu)), self.translations, self.translations)] = S[
+            np.ix_(range(len(nu)), own, own)
+        ]
         return found
 
     # --- the loop -------------------------------------------------------------------------------
     def rest(self, at: Corners, angles: Mapping[str, Interval]) -> Interval:
         """A without motion in every case for every box of angles, shape (boxes, cases, size, size)."""
-        turns = {m: self._at(m, angles) for m in self._matrices}
-        found: Interval = block(self._cells(at.rest, turns))
-        return found + block(self._cells(at.beyond, turns, springs=False)) if at.shifted else found
+        transforms = {m: self._at(m, angles) for m in self._matrices}
+        found: Interval = block(self._blocks(at.rest, transforms))
+        return found + block(self._blocks(at.remainder, transforms, stiffness=False)) if at.shifts else found
 
     def added(self, at: Corners, angles: Mapping[str, Interval]) -> list[Interval]:
         """What the ends of each velocity add to A, each of shape (boxes, cases, ends, size, size).
 
         With a single box where no attitude changes it. Those of each uncertain parameter follow.
         """
-        if self._turned_by_body and not at.shifted:
+        if self._in_body_frame and not at.shifts:
             angles = {a: v[:1] for a, v in angles.items()}
-        found = {m: self._at(m, angles) for m in self._matrices}
-        blocks = [block(self._cells(e, found, springs=False)) for e in at.ends]
-        moved = [b.reshape(len(b), at.cases, -1, self.size, self.size) for b in blocks]
-        for inertia, moving in at.shifted:
-            one = block(self._cells(inertia, found, links=False))
-            one = one + block(self._cells(moving, found, springs=False))
-            moved.append(Interval(np.stack([one.lo, -one.hi], axis=2), np.stack([one.hi, -one.lo], axis=2)))
-        return moved
+        enclosed = {m: self._at(m, angles) for m in self._matrices}
+        blocks = [block(self._blocks(e, enclosed, stiffness=False)) for e in at.ends]
+        terms = [b.reshape(len(b), at.cases, -1, self.size, self.size) for b in blocks]
+        for inertia, velocity in at.shifts:
+            term = block(self._blocks(inertia, enclosed, kinematics=False))
+            term = term + block(self._blocks(velocity, enclosed, stiffness=False))
+            terms.append(
+                Interval(np.stack([term.lo, -term.hi], axis=2), np.stack([term.hi, -term.lo], axis=2))
+            )
+        return terms
 
-    def bend(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
+    def curvature(self, at: Corners, angles: Mapping[str, Interval], by: str) -> Array:
         """Bound on |second derivative of A by one angle| in each box, shape (boxes, size, size)."""
         jets = {
             m: Jet(self._at(m, angles), self._at(m, angles, by, 1), self._at(m, angles, by, 2))
             for m in self._matrices
         }
-        cells = [[_jet(c).bend for c in row] for row in self._cells(at.bend, jets)]
-        return np.asarray(block(cells).size[:, 0])
+        cells = [[_jet(c).curvature for c in row] for row in self._blocks(at.hull, jets)]
+        return np.asarray(block(cells).magnitude[:, 0])
 
     def body(self, angles: Mapping[str, Interval], by: str = "", order: int = 0) -> Interval:
         """T of (integral, error, nu) = T' z, or a derivative by an angle, shape (boxes, 1, size, size)."""
-        if self._turned_by_body:
+        if self._in_body_frame:
             angles = {a: v[:1] for a, v in angles.items()}
         other = self.size - self.n
         unit, none = np.eye(other) * (order == 0), np.zeros((other, self.n))
@@ -373,34 +385,34 @@ class Embedding:
         """T with its derivatives by one angle."""
         return Jet(*(self.body(angles, by if order else "", order) for order in range(3)))
 
-    def _cells(
-        self, at: Matrices, matrices: Mapping[str, Any], *, springs: bool = True, links: bool = True
+    def _blocks(
+        self, at: Matrices, matrices: Mapping[str, Any], *, stiffness: bool = True, kinematics: bool = True
     ) -> list[list[Any]]:
         """A in blocks of (integral, error, velocity), intervals or with derivatives.
 
-        Without `springs` it is what motion adds, without `links` there is nothing that no parameter changes.
+        Without `stiffness` it is what motion adds; without `kinematics` what no parameter changes is missing.
         """
         L, N = matrices["L"], matrices["N"]
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
-        push = L @ at.inverse  # L M^-1
-        spin: Any = enclose(np.zeros_like(at.turning.lo))
-        if self._turned_by_body:
-            spin, swing = -at.turning, spin
+        L_M_inv = L @ at.inverse  # L M^-1
+        Omega: Any = enclose(np.zeros_like(at.skew.lo))
+        if self._in_body_frame:
+            Omega, L_dot = -at.skew, Omega
         else:
-            swing = L @ at.turning @ L.T
-        brake = -(push @ at.moving @ L.T) + swing
-        none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None] * links
-        if not springs:
-            still = enclose(np.zeros_like(brake.lo))
-            rows = [[spin, still], [still, brake]]
-            return [[spin, still, still], *([still, *row] for row in rows)] if self.integral else rows
-        spring = push @ (L.T @ N.T)
-        brake = brake - spring @ K["K_V"] @ N
-        pull = spring @ K["K_P"]
-        link = -N if links else none
+            L_dot = L @ at.skew @ L.T
+        velocity = -(L_M_inv @ at.velocity @ L.T) + L_dot
+        none, unit = np.zeros((1, self.n, self.n)), np.eye(self.n)[None] * kinematics
+        if not stiffness:
+            zero = enclose(np.zeros_like(velocity.lo))
+            rows = [[Omega, zero], [zero, velocity]]
+            return [[Omega, zero, zero], *([zero, *row] for row in rows)] if self.integral else rows
+        force = L_M_inv @ (L.T @ N.T)
+        velocity = velocity - force @ K["K_V"] @ N
+        error = force @ K["K_P"]
+        rate = -N if kinematics else none
         if not self.integral:
-            return [[spin, link], [pull, brake]]
-        return [[spin, unit, none], [none, spin, link], [spring @ K["K_I"], pull, brake]]
+            return [[Omega, rate], [error, velocity]]
+        return [[Omega, unit, none], [none, Omega, rate], [force @ K["K_I"], error, velocity]]
 
     def speeds_of(self, angles: Mapping[str, Interval]) -> Interval:
         """Rows that give the body velocities from z, shape (boxes, n, size)."""
@@ -412,7 +424,7 @@ class Embedding:
         """Rows that give what each limited command adds to that at rest, shape (boxes, m, size)."""
         L, N = self._at("L", angles), self._at("N", angles)
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
-        force = commands.share @ (L.T @ N.T)
+        force = commands.force_to_commands @ (L.T @ N.T)
         parts = [force @ K["K_P"], -(force @ K["K_V"] @ N)]
         return block([[force @ K["K_I"], *parts] if self.integral else parts])[:, 0]  # type: ignore[no-any-return]
 
@@ -424,13 +436,13 @@ class Embedding:
         return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in pairs}
 
 
-def _corners(speed: float, count: int) -> list[tuple[float, float]]:
+def _ends_of_speed(speed: float, count: int) -> list[tuple[float, float]]:
     """Values and signs of one velocity that bound everything between."""
-    first, still, turned, last = (speed, 1.0), (0.0, 1.0), (0.0, -1.0), (-speed, -1.0)
-    return {2: [first, last], 3: [first, still, last], 4: [first, still, turned, last]}[count]
+    first, at_rest, reversed_rest, last = (speed, 1.0), (0.0, 1.0), (0.0, -1.0), (-speed, -1.0)
+    return {2: [first, last], 3: [first, at_rest, last], 4: [first, at_rest, reversed_rest, last]}[count]
 
 
-class _Moving(NamedTuple):
+class _Velocity(NamedTuple):
     """What C + D is, by signs and velocities."""
 
     rest: sm.Matrix  # without motion
@@ -444,7 +456,7 @@ def _columns(rows: Array | Interval) -> list[Interval]:
     return [own[..., i] for i in range(own.lo.shape[-1])]
 
 
-def motion_terms(plant: Plant, spread: Spread = NO_SPREAD) -> list[Term]:
+def motion_terms(plant: Plant, box: ParameterBox = EXACT_PARAMETERS) -> list[Term]:
     """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
 
     Raises
@@ -452,7 +464,7 @@ def motion_terms(plant: Plant, spread: Spread = NO_SPREAD) -> list[Term]:
     UndertowError
         If it is no such sum.
     """
-    found = terms_of(plant, plant.C + plant.D, spread)
+    found = terms_of(plant, plant.C + plant.D, box)
     if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
         raise UndertowError(
             "damping grows faster than in proportion to a velocity: no certificate is searched for"
@@ -465,10 +477,10 @@ def _switching(plant: Plant, inertia: sm.Matrix) -> list[int]:
     n, signs = len(plant.nu), sizes_and_signs(plant)[1]
     found = {i for i in range(n) if signs[i] in inertia.free_symbols}
     for term in motion_terms(plant):
-        own = {k for k in range(n) if term.powers[2 * n + k]}
-        moved = {k for k in range(n) if term.powers[k] + term.powers[n + k]}
-        if len(own | moved) > 1 or any(term.powers[2 * n + k] > 1 for k in own):
-            found |= own
+        signs_in_term = {k for k in range(n) if term.powers[2 * n + k]}
+        velocities = {k for k in range(n) if term.powers[k] + term.powers[n + k]}
+        if len(signs_in_term | velocities) > 1 or any(term.powers[2 * n + k] > 1 for k in signs_in_term):
+            found |= signs_in_term
     return sorted(found)
 
 

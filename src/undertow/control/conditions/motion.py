@@ -30,7 +30,7 @@ from undertow.model.symbols import symbol
 from undertow.typing import Array, Index
 
 from .attitude import ANGLES, Interval, enclose, enclosing
-from .commands import Commands, inverse_of_inertia, inverses_of_inertia, plain, sizes_and_signs
+from .commands import Commands, inverse_of_inertia, inverses_of_inertia, numeric_matrix, sizes_and_signs
 from .definite import SETTINGS as PROOFS
 from .embedding import motion_terms, rotation_of, sign_cases
 from .problem import Problem
@@ -40,13 +40,15 @@ from .problem import Problem
 class MotionSettings:
     """How responses, and what is left over, are bounded; none of these numbers decides what is proved."""
 
-    first: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
+    first_piece: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
     # Of the ends of a piece of time: what the first does not prove, in a third of the time, is tried again.
     ratios: tuple[float, ...] = (1.12, 1.08, 1.04)
-    finer: int = 4  # pieces of what a push does later, in one of these
-    last: float = 20.0  # slowest time constants, after which one bound serves for all time
-    dies: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
-    cuts: int = 4  # of each angle's range, in which bounds on derivatives of what is left over are taken
+    refinement: int = 4  # pieces of what a push does later, in one of these
+    last_time_constants: float = 20.0  # slowest time constants, after which one bound serves for all time
+    decay_share: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
+    angle_cuts: int = (
+        4  # of each angle's range, in which bounds on derivatives of what is left over are taken
+    )
 
 
 SETTINGS = MotionSettings()
@@ -54,13 +56,13 @@ SETTINGS = MotionSettings()
 
 # --- responses of a linear loop --------------------------------------------------------------------
 class Modes(NamedTuple):
-    """z = T x with x_dot = L x, L in blocks [[-s, w], [-w, -s]] or -s; `off` is |A - T L T^-1|."""
+    """z = T x with x_dot = L x, L in blocks [[-s, w], [-w, -s]] or -s; `residual` is |A - T L T^-1|."""
 
     T: Interval
     inverse: Interval
-    starts: Array  # first place of each block
+    block_starts: Array  # first place of each block
     rates: Array  # s - i w, by block, w zero where it has one row
-    off: Array
+    residual: Array
 
 
 def modes(A: Interval) -> Modes:
@@ -73,11 +75,11 @@ def modes(A: Interval) -> Modes:
     """
     values, vectors = np.linalg.eig(A.middle)
     columns: list[Array] = []
-    starts, rates = [], []
+    block_starts, rates = [], []
     for value, vector in zip(values, vectors.T, strict=True):
         if value.imag < 0:
             continue
-        starts.append(len(columns))
+        block_starts.append(len(columns))
         rates.append(complex(-value.real, -value.imag))
         columns += [vector.real, vector.imag] if value.imag > 0 else [vector.real]
     if min(r.real for r in rates) <= 0:
@@ -85,19 +87,19 @@ def modes(A: Interval) -> Modes:
     T = enclose(np.array(columns).T)
     inverse = _inverse(T)
     block = np.zeros(A.lo.shape)
-    for place, rate in zip(starts, rates, strict=True):
+    for row, rate in zip(block_starts, rates, strict=True):
         s, w = rate.real, -rate.imag
         size = 2 if w else 1
-        block[place : place + size, place : place + size] = [[-s, w], [-w, -s]] if w else -s
-    off = (A - T @ enclose(block) @ inverse).size
-    return Modes(T, inverse, np.array(starts), np.array(rates), off)
+        block[row : row + size, row : row + size] = [[-s, w], [-w, -s]] if w else -s
+    residual = (A - T @ enclose(block) @ inverse).magnitude
+    return Modes(T, inverse, np.array(block_starts), np.array(rates), residual)
 
 
 def _inverse(T: Interval) -> Interval:
     """The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one."""
     near = np.linalg.inv(T.lo)
     n = len(near)
-    left = (enclose(np.eye(n)) - near @ T).size.sum(axis=-1).max() * (1 + PROOFS.room)
+    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
     if not left < 0.5:
         raise UndertowError("modes of the loop are too close to one another for bounds in time")
     radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
@@ -123,10 +125,10 @@ class Kernels(NamedTuple):
 class Responses:
     """Responses of signals (rows on z) to pushes of unit impulse on each state, piece by piece of time."""
 
-    def __init__(self, found: Modes, rows: Array, times: Array) -> None:
-        self.found, self.times = found, times
-        left, right = enclose(rows) @ found.T, found.inverse
-        first, pair = found.starts, found.rates.imag != 0
+    def __init__(self, modes: Modes, rows: Array, times: Array) -> None:
+        self.modes, self.times = modes, times
+        left, right = enclose(rows) @ modes.T, modes.inverse
+        first, pair = modes.block_starts, modes.rates.imag != 0
         second = np.where(pair, first + 1, first)
 
         def product(i: Array, j: Array) -> Interval:
@@ -135,43 +137,47 @@ class Responses:
         cosine = product(first, first) + product(second, second) * pair[:, None, None].astype(float)
         sine = (product(first, second) - product(second, first)) * pair[:, None, None].astype(float)
         self.amplitude = cosine.middle - 1j * sine.middle  # (modes, signals, states)
-        self.size = (np.abs(self.amplitude) + cosine.radius + sine.radius) * (1 + PROOFS.room)
-        self.radius = cosine.radius + sine.radius + PROOFS.level * self.size
+        self.magnitude = (np.abs(self.amplitude) + cosine.radius + sine.radius) * (1 + PROOFS.room)
+        self.radius = cosine.radius + sine.radius + PROOFS.level * self.magnitude
 
     @property
     def _exponents(self) -> Array:
-        return np.asarray(-self.found.rates.real - 1j * self.found.rates.imag)
+        return np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag)
 
     @property
     def envelope(self) -> Array:
         """Bound on each response at any time, times the decay of the slowest mode, (signals, states)."""
-        return np.asarray(self.size.sum(axis=0))
+        return np.asarray(self.magnitude.sum(axis=0))
 
     def kernels(self, signals: Index, states: Index) -> Kernels:
         """The integrals over time of some |responses|."""
         within, widths = self.pieces(signals, states), np.diff(self.times)
-        slowest = self.found.rates.real.min()
-        growth = np.exp(SETTINGS.dies * slowest * self.times)
-        rest = within[:, -1:] / ((1 - SETTINGS.dies) * slowest)
+        slowest = self.modes.rates.real.min()
+        growth = np.exp(SETTINGS.decay_share * slowest * self.times)
+        rest = within[:, -1:] / ((1 - SETTINGS.decay_share) * slowest)
         integral = np.cumsum(np.insert(within[:, :-1] * widths, 0, 0.0, axis=1), axis=1)
         weighted = (within[:, :-1] * widths) @ growth[1:] + rest[:, 0] * growth[-1]
         return Kernels(self.times, integral.T, weighted * (1 + PROOFS.level))
 
     def pieces(self, signals: Index, states: Index) -> Array:
         """Bounds on some responses in each piece of time, the last of which has no end, (pairs, pieces)."""
-        own = Amplitudes(*(m[:, signals, states].T for m in (self.amplitude, self.size, self.radius)))
-        return bounds_within(own, self._exponents, self.times)
+        amplitudes = Amplitudes(
+            *(m[:, signals, states].T for m in (self.amplitude, self.magnitude, self.radius))
+        )
+        return bounds_within(amplitudes, self._exponents, self.times)
 
 
 class Amplitudes(NamedTuple):
     """Of each exponential in a sum: a number, a bound on its magnitude, and how much it may be off."""
 
     value: Array
-    size: Array
+    magnitude: Array
     radius: Array
 
 
-def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None) -> Array:
+def bounds_within(
+    amplitudes: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None
+) -> Array:
     """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
 
     With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest
@@ -181,20 +187,20 @@ def bounds_within(of: Amplitudes, exponents: Array, times: Array, growing: Ampli
     decay, angle = np.exp(np.outer(exponents.real, times)), np.outer(exponents.imag, times)
     waves = np.concatenate([decay * np.cos(angle), -decay * np.sin(angle)])
     # Both bounds in one product of matrices.
-    both = of.size @ np.concatenate([decay, rate**2 * decay], axis=1)
-    value, spread = _parts(of.value) @ waves, of.radius @ decay
-    envelope, bend = both[:, :count], both[:, count:]
+    both = amplitudes.magnitude @ np.concatenate([decay, rate**2 * decay], axis=1)
+    value, radius = _parts(amplitudes.value) @ waves, amplitudes.radius @ decay
+    envelope, curvature = both[:, :count], both[:, count:]
     if growing is not None:
         later = np.append(times[1:], times[-1])
-        both = growing.size @ np.concatenate([decay * later, rate * decay * (rate * later + 2)], axis=1)
-        value, spread = (
+        both = growing.magnitude @ np.concatenate([decay * later, rate * decay * (rate * later + 2)], axis=1)
+        value, radius = (
             value + _parts(growing.value) @ (waves * times),
-            spread + growing.radius @ (decay * times),
+            radius + growing.radius @ (decay * times),
         )
-        envelope, bend = envelope + both[:, :count], bend + both[:, count:]
-    at = np.abs(value) + spread
-    within = np.maximum(at[:, :-1], at[:, 1:]) + bend[:, :-1] * np.diff(times) ** 2 / 8
-    found = np.concatenate([np.minimum(within, envelope[:, :-1]), envelope[:, -1:]], axis=1)
+        envelope, curvature = envelope + both[:, :count], curvature + both[:, count:]
+    at = np.abs(value) + radius
+    between_times = np.maximum(at[:, :-1], at[:, 1:]) + curvature[:, :-1] * np.diff(times) ** 2 / 8
+    found = np.concatenate([np.minimum(between_times, envelope[:, :-1]), envelope[:, -1:]], axis=1)
     return np.asarray(found * (1 + PROOFS.level))
 
 
@@ -203,10 +209,13 @@ def _parts(values: Array) -> Array:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def grid(rates: Array, ratio: float, finer: int = 1, until: float = 0.0) -> Array:
+def time_grid(rates: Array, ratio: float, refinement: int = 1, until: float = 0.0) -> Array:
     """Ends of the pieces of time for the modes of a loop, s, the last not before `until`."""
-    first, last = SETTINGS.first / finer / np.abs(rates).max(), max(SETTINGS.last / rates.real.min(), until)
-    ratio **= 1 / finer
+    first, last = (
+        SETTINGS.first_piece / refinement / np.abs(rates).max(),
+        max(SETTINGS.last_time_constants / rates.real.min(), until),
+    )
+    ratio **= 1 / refinement
     # As wide as the first one while that is wider than by the ratio.
     steady = np.arange(0.0, first / (ratio - 1), first)
     count = int(np.ceil(np.log(last / steady[-1]) / np.log(ratio))) + 1
@@ -214,25 +223,25 @@ def grid(rates: Array, ratio: float, finer: int = 1, until: float = 0.0) -> Arra
 
 
 # --- of second order in the start, of first order in the heading --------------------------------
-class Form(NamedTuple):
+class QuadraticForm(NamedTuple):
     """q(z, z): of each angle times what it turns, and of products of rates."""
 
     angles: Array  # rows on z, (angles, states)
     pull: Array  # what a unit of each angle turns, rows on z, (angles, n, states)
     Gamma: Array  # (n, n, n)
     # The same of magnitudes: nothing that cancels in `pull` does here.
-    size: Array
+    magnitude: Array
 
 
-class Driven(NamedTuple):
+class DrivenMotion(NamedTuple):
     """Bounds on a motion that the linear loop drives, and on what is missed of its equation."""
 
     signals: Array  # (pieces, signals)
-    missed: Array  # at any time of a piece, (pieces, states)
-    begun: Array  # bound on the motion at the start, which should be zero, by state
+    defect: Array  # at any time of a piece, (pieces, states)
+    initial_defect: Array  # bound on the motion at the start, which should be zero, by state
 
 
-class Complex(NamedTuple):
+class ComplexModes(NamedTuple):
     """The modes as z = sum of V_j e^{l_j t} (C_j z(0)), one of each pair that is conjugate."""
 
     exponents: Array
@@ -242,7 +251,7 @@ class Complex(NamedTuple):
     weights: Array  # one, or two where it stands for a pair
 
 
-class Starts(NamedTuple):
+class StartBox(NamedTuple):
     """A box of errors, of which those in the plane stand in any frame: there it is a disc."""
 
     box: Array
@@ -256,30 +265,30 @@ class Starts(NamedTuple):
             found[self.plane] = np.hypot(*self.box[self.plane])
         return found * (1 + PROOFS.room)
 
-    def linear(self, of: Array) -> Array:
+    def linear(self, weights: Array) -> Array:
         """The largest sum over errors of a share of each, of magnitudes along the first axis."""
         reach = self.reach
         rest = [c for c in range(len(reach)) if c not in self.plane]
-        found = np.tensordot(reach[rest], of[rest], 1)
+        found = np.tensordot(reach[rest], weights[rest], 1)
         if self.plane:
-            found = found + np.hypot(*of[self.plane]) * reach[self.plane[0]]
+            found = found + np.hypot(*weights[self.plane]) * reach[self.plane[0]]
         return np.asarray(found)
 
-    def squares(self, of: Array) -> Array:
+    def squares(self, weights: Array) -> Array:
         """The largest sum over pairs p <= q of errors, as `linear`, along the first axis (by `pairs`)."""
         p, q = self.pairs
         reach = self.reach
-        found = of * (reach[p] * reach[q]).reshape(-1, *[1] * (of.ndim - 1))
+        found = weights * (reach[p] * reach[q]).reshape(-1, *[1] * (weights.ndim - 1))
         if not self.plane:
             return np.asarray(found.sum(axis=0))
         x, y = self.plane
-        place = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(p, q, strict=True))}
-        xx, yy, xy = (found[place[pair]] for pair in ((x, x), (y, y), (x, y)))
+        index = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(p, q, strict=True))}
+        xx, yy, xy = (found[index[pair]] for pair in ((x, x), (y, y), (x, y)))
         total = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), 0.5 * xy)
         rest = [c for c in range(len(reach)) if c not in self.plane]
         for c in rest:
-            total = total + np.hypot(*(found[place[min(a, c), max(a, c)]] for a in self.plane))
-            total = total + sum(found[place[c, d]] for d in rest if d >= c)
+            total = total + np.hypot(*(found[index[min(a, c), max(a, c)]] for a in self.plane))
+            total = total + sum(found[index[c, d]] for d in rest if d >= c)
         return np.asarray(total)
 
     @property
@@ -288,46 +297,48 @@ class Starts(NamedTuple):
         return np.triu_indices(len(self.box))
 
 
-def complex_modes(found: Modes) -> Complex:
+def complex_modes(basis: Modes) -> ComplexModes:
     """One of each pair of modes that are conjugate, and those that are real."""
-    first, pair = found.starts, found.rates.imag != 0
-    T, left, around = found.T.lo, found.inverse.middle, found.inverse.radius
+    first, pair = basis.block_starts, basis.rates.imag != 0
+    T, inverse, inverse_radius = basis.T.lo, basis.inverse.middle, basis.inverse.radius
     V = T[:, first].astype(complex)
     V[:, pair] = 0.5 * (T[:, first[pair]] - 1j * T[:, first[pair] + 1])
-    C, radius = left[first].astype(complex), around[first].copy()
-    C[pair] += 1j * left[first[pair] + 1]
-    radius[pair] += around[first[pair] + 1]
-    return Complex(-found.rates.real + 1j * found.rates.imag, V, C, radius, np.where(pair, 2.0, 1.0))
+    C, radius = inverse[first].astype(complex), inverse_radius[first].copy()
+    C[pair] += 1j * inverse[first[pair] + 1]
+    radius[pair] += inverse_radius[first[pair] + 1]
+    return ComplexModes(-basis.rates.real + 1j * basis.rates.imag, V, C, radius, np.where(pair, 2.0, 1.0))
 
 
-def _with_conjugates(of: Complex) -> tuple[Array, Array, Array]:
+def _all_modes(modes: ComplexModes) -> tuple[Array, Array, Array]:
     """Exponents, V and C of every mode."""
-    twins = np.flatnonzero(of.weights == 2)
-    exponents = np.concatenate([of.exponents, of.exponents[twins].conj()])
-    V = np.concatenate([of.V, of.V[:, twins].conj()], axis=1)
-    return exponents, V, np.concatenate([of.C, of.C[twins].conj()])
+    pairs = np.flatnonzero(modes.weights == 2)
+    exponents = np.concatenate([modes.exponents, modes.exponents[pairs].conj()])
+    V = np.concatenate([modes.V, modes.V[:, pairs].conj()], axis=1)
+    return exponents, V, np.concatenate([modes.C, modes.C[pairs].conj()])
 
 
-def products(form: Form, V: Array) -> Array:
+def form_products(form: QuadraticForm, V: Array) -> Array:
     """q of each pair of vectors, shape (n, modes, modes)."""
     n, v = len(form.Gamma), V[-len(form.Gamma) :]
-    turned = np.einsum("aj,aik->ijk", form.angles @ V, form.pull @ V)
+    by_angle = np.einsum("aj,aik->ijk", form.angles @ V, form.pull @ V)
     both = np.einsum("ipk,pj->ijk", (form.Gamma.reshape(n * n, n) @ v).reshape(n, n, -1), v)
-    return np.asarray(0.5 * (turned + turned.swapaxes(1, 2)) + both)
+    return np.asarray(0.5 * (by_angle + by_angle.swapaxes(1, 2)) + both)
 
 
-def absolute(form: Form) -> Form:
+def absolute_form(form: QuadraticForm) -> QuadraticForm:
     """The form that bounds |q| of vectors by their magnitudes."""
-    return Form(np.abs(form.angles), form.size, np.abs(form.Gamma), form.size)
+    return QuadraticForm(np.abs(form.angles), form.magnitude, np.abs(form.Gamma), form.magnitude)
 
 
-def second_order(found: Modes, A: Array, form: Form, rows: Array, starts: Starts, times: Array) -> Driven:
+def second_order_motion(
+    basis: Modes, A: Array, form: QuadraticForm, rows: Array, starts: StartBox, times: Array
+) -> DrivenMotion:
     """z_2 of starts in a box of errors."""
     n, size = len(form.Gamma), len(A)
-    of = complex_modes(found)
-    exponents, V, C = _with_conjugates(of)
+    modal = complex_modes(basis)
+    exponents, V, C = _all_modes(modal)
     errors = slice(size - 2 * n, size - n)
-    around = np.concatenate([of.radius, of.radius[of.weights == 2]])[:, errors]
+    C_radius = np.concatenate([modal.radius, modal.radius[modal.weights == 2]])[:, errors]
     C = C[:, errors]
     j, k = np.triu_indices(len(exponents))
     upper = (exponents[j] + exponents[k]).imag >= 0  # the others are conjugate to these
@@ -335,93 +346,108 @@ def second_order(found: Modes, A: Array, form: Form, rows: Array, starts: Starts
     both = exponents[j] + exponents[k]
     weights = np.where(j == k, 1.0, 2.0) * np.where(both.imag > 0, 2.0, 1.0)
     q = np.zeros((len(j), size), dtype=complex)
-    q[:, -n:] = (products(form, V)[:, j, k] * weights).T
+    q[:, -n:] = (form_products(form, V)[:, j, k] * weights).T
     system = both[:, None, None] * np.eye(size) - A
     Z = np.asarray(np.linalg.solve(system, q[..., None]))[..., 0]
     p, r = starts.pairs
     same = np.where(p == r, 0.5, 1.0)
     coefficient = (C[j][:, p] * C[k][:, r] + C[k][:, p] * C[j][:, r]) * same  # (l, pairs)
     total = (coefficient.T @ Z).real  # of z_2 at the start without Y, (pairs, states)
-    Y = -of.V.T[:, None] * (np.linalg.inv(V)[: len(of.V.T)] @ total.T)[..., None] * of.weights[:, None, None]
+    Y = (
+        -modal.V.T[:, None]
+        * (np.linalg.inv(V)[: len(modal.V.T)] @ total.T)[..., None]
+        * modal.weights[:, None, None]
+    )
     # What is missed: of the equation by rounding and by the modes, of the start, and of the rows C.
-    reach, size_Z = starts.reach, np.abs(Z)
-    wrong = np.abs(np.einsum("lst,lt->ls", system, Z) - q) + size_Z @ found.off.T
-    wrong += PROOFS.rounding * (size_Z @ np.abs(A).T + np.abs(both)[:, None] * size_Z + np.abs(q))
-    own = np.abs(C) @ reach
-    loose = around @ reach + PROOFS.rounding * own
-    missed = (wrong * (own[j] * own[k])[:, None]).sum(axis=0)
-    magnitudes = products(absolute(form), np.abs(V)).real
-    missed[-n:] += (magnitudes @ (own + loose)) @ (own + loose) - (magnitudes @ own) @ own
-    size_Y = np.abs(Y)
-    begun = np.abs(total + Y.sum(axis=0).real)
-    begun += PROOFS.rounding * (np.abs(coefficient).T @ size_Z + size_Y.sum(axis=0))
+    reach, abs_Z = starts.reach, np.abs(Z)
+    defect_Z = np.abs(np.einsum("lst,lt->ls", system, Z) - q) + abs_Z @ basis.residual.T
+    defect_Z += PROOFS.rounding * (abs_Z @ np.abs(A).T + np.abs(both)[:, None] * abs_Z + np.abs(q))
+    abs_C = np.abs(C) @ reach
+    C_off = C_radius @ reach + PROOFS.rounding * abs_C
+    defect = (defect_Z * (abs_C[j] * abs_C[k])[:, None]).sum(axis=0)
+    magnitudes = form_products(absolute_form(form), np.abs(V)).real
+    defect[-n:] += (magnitudes @ (abs_C + C_off)) @ (abs_C + C_off) - (magnitudes @ abs_C) @ abs_C
+    abs_Y = np.abs(Y)
+    initial_defect = np.abs(total + Y.sum(axis=0).real)
+    initial_defect += PROOFS.rounding * (np.abs(coefficient).T @ abs_Z + abs_Y.sum(axis=0))
     # Modes that Y stands for are not quite those of A.
-    missed += found.off @ (size_Y.sum(axis=0).T @ (reach[p] * reach[r]))
-    every = np.concatenate([both, of.exponents])
-    signals = starts.squares(_signals(rows, Z, coefficient, Y, every, times))
-    decay = np.exp(-found.rates.real.min() * times)[:, None]
-    return Driven(signals.T, decay * missed, begun.T @ (reach[p] * reach[r]))
+    defect += basis.residual @ (abs_Y.sum(axis=0).T @ (reach[p] * reach[r]))
+    all_exponents = np.concatenate([both, modal.exponents])
+    signals = starts.squares(_signals(rows, Z, coefficient, Y, all_exponents, times))
+    decay = np.exp(-basis.rates.real.min() * times)[:, None]
+    return DrivenMotion(signals.T, decay * defect, initial_defect.T @ (reach[p] * reach[r]))
 
 
 def _signals(rows: Array, Z: Array, coefficient: Array, Y: Array, exponents: Array, times: Array) -> Array:
     """Bounds on rows on z_2 for each pair of starts of one, (pairs, signals, pieces)."""
-    free = Y.swapaxes(0, 1).swapaxes(1, 2)  # (pairs, states, m)
-    sizes, more = np.abs(rows) @ np.abs(Z).T, np.abs(rows) @ np.abs(free)  # (signals, l), (pairs, signals, m)
-    shares = np.abs(coefficient).T
-    whole = shares @ sizes.T + more.sum(axis=-1)
+    decaying = Y.swapaxes(0, 1).swapaxes(1, 2)  # (pairs, states, m)
+    sizes, decaying_abs = (
+        np.abs(rows) @ np.abs(Z).T,
+        np.abs(rows) @ np.abs(decaying),
+    )  # (signals, l), (pairs, signals, m)
+    weights = np.abs(coefficient).T
+    total = weights @ sizes.T + decaying_abs.sum(axis=-1)
     # What hardly matters to a signal is not followed in time.
-    matters = whole > PROOFS.level * whole.max(axis=0)
-    pair, signal = np.nonzero(matters)
+    relevant = total > PROOFS.level * total.max(axis=0)
+    pair, signal = np.nonzero(relevant)
     amplitude = np.concatenate(
-        [(rows @ Z.T)[signal] * coefficient.T[pair], (rows @ free)[pair, signal]], axis=-1
+        [(rows @ Z.T)[signal] * coefficient.T[pair], (rows @ decaying)[pair, signal]], axis=-1
     )
-    own = np.concatenate([sizes[signal] * shares[pair], more[pair, signal]], axis=-1)
-    found = whole[..., None] * np.exp(exponents.real.max() * times)
-    found[matters] = bounds_within(Amplitudes(amplitude, own, PROOFS.level * own), exponents, times)
+    size = np.concatenate([sizes[signal] * weights[pair], decaying_abs[pair, signal]], axis=-1)
+    found = total[..., None] * np.exp(exponents.real.max() * times)
+    found[relevant] = bounds_within(Amplitudes(amplitude, size, PROOFS.level * size), exponents, times)
     return np.asarray(found * (1 + PROOFS.level))
 
 
-def by_heading(found: Modes, A: Array, B: Array, rows: Array, starts: Starts, times: Array) -> Driven:
+def heading_motion(
+    basis: Modes, A: Array, B: Array, rows: Array, starts: StartBox, times: Array
+) -> DrivenMotion:
     """z_h of starts in a box of errors, for a heading that is one radian off."""
     n, size = len(starts.box), len(A)
-    of = complex_modes(found)
-    exponents, V, C = _with_conjugates(of)
-    C, radius = C[:, size - 2 * n : size - n], of.radius[:, size - 2 * n : size - n]
-    half, G = len(of.exponents), np.linalg.inv(V) @ B @ V
-    apart = exponents[None, :] - exponents[:, None]
-    np.fill_diagonal(apart, 1.0)
-    N = G / np.where(apart == 0, np.inf, apart)
+    modal = complex_modes(basis)
+    exponents, V, C = _all_modes(modal)
+    C, radius = C[:, size - 2 * n : size - n], modal.radius[:, size - 2 * n : size - n]
+    count, G = len(modal.exponents), np.linalg.inv(V) @ B @ V
+    differences = exponents[None, :] - exponents[:, None]
+    np.fill_diagonal(differences, 1.0)
+    N = G / np.where(differences == 0, np.inf, differences)
     np.fill_diagonal(N, 0.0)
-    own, weights = C[:half], of.weights[:, None, None]
-    Z = (V @ N)[:, :half].T[:, :, None] * own[:, None] - of.V.T[:, :, None] * (N @ C)[:half, None]
-    Y = of.V.T[:, :, None] * (np.diag(G)[:half, None] * own)[:, None]
-    pushed = (B @ of.V).T[:, :, None] * own[:, None]  # each (modes, states, starts)
-    at = of.exponents[:, None, None]
-    size_Z, size_Y, size_A = np.abs(Z), np.abs(Y), np.abs(A) + np.abs(at) * np.eye(size)
-    constant = np.abs(at * Z + Y - A @ Z - pushed) + found.off @ size_Z
+    C_modes, weights = C[:count], modal.weights[:, None, None]
+    Z = (V @ N)[:, :count].T[:, :, None] * C_modes[:, None] - modal.V.T[:, :, None] * (N @ C)[:count, None]
+    Y = modal.V.T[:, :, None] * (np.diag(G)[:count, None] * C_modes)[:, None]
+    forcing = (B @ modal.V).T[:, :, None] * C_modes[:, None]  # each (modes, states, starts)
+    at = modal.exponents[:, None, None]
+    abs_Z, abs_Y, abs_A = np.abs(Z), np.abs(Y), np.abs(A) + np.abs(at) * np.eye(size)
+    constant = np.abs(at * Z + Y - A @ Z - forcing) + basis.residual @ abs_Z
     constant += PROOFS.rounding * (
-        size_A @ size_Z + size_Y + np.abs(B) @ np.abs(of.V).T[:, :, None] * np.abs(own)[:, None]
+        abs_A @ abs_Z + abs_Y + np.abs(B) @ np.abs(modal.V).T[:, :, None] * np.abs(C_modes)[:, None]
     )
-    constant += (np.abs(B) @ np.abs(of.V)).T[:, :, None] * (radius + PROOFS.rounding * np.abs(own))[:, None]
-    growing = np.abs(at * Y - A @ Y) + found.off @ size_Y + PROOFS.rounding * (size_A @ size_Y)
-    missed, more = (np.tensordot((m * weights).sum(axis=0), starts.reach, 1) for m in (constant, growing))
-    begun = np.abs((Z * weights).sum(axis=0).real) + PROOFS.rounding * (size_Z * weights).sum(axis=0)
-    decay, later = np.exp(-found.rates.real.min() * times), np.append(times[1:], times[-1])
+    constant += (np.abs(B) @ np.abs(modal.V)).T[:, :, None] * (radius + PROOFS.rounding * np.abs(C_modes))[
+        :, None
+    ]
+    growing = np.abs(at * Y - A @ Y) + basis.residual @ abs_Y + PROOFS.rounding * (abs_A @ abs_Y)
+    defect, growing_defect = (
+        np.tensordot((m * weights).sum(axis=0), starts.reach, 1) for m in (constant, growing)
+    )
+    initial_defect = np.abs((Z * weights).sum(axis=0).real) + PROOFS.rounding * (abs_Z * weights).sum(axis=0)
+    decay, later = np.exp(-basis.rates.real.min() * times), np.append(times[1:], times[-1])
     parts = [np.tensordot(rows, m * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
     sizes = [np.tensordot(np.abs(rows), np.abs(m) * weights, ([1], [1])).transpose(2, 0, 1) for m in (Z, Y)]
-    shape = (n * len(rows), half)
+    shape = (n * len(rows), count)
     pieces = [
         Amplitudes(*(m.reshape(shape) for m in (a, s, PROOFS.level * s)))
         for a, s in zip(parts, sizes, strict=True)
     ]
-    signals = bounds_within(pieces[0], of.exponents, times, pieces[1]).reshape(n, len(rows), -1)
-    return Driven(
-        starts.linear(signals).T, decay[:, None] * (missed + later[:, None] * more), begun @ starts.reach
+    signals = bounds_within(pieces[0], modal.exponents, times, pieces[1]).reshape(n, len(rows), -1)
+    return DrivenMotion(
+        starts.linear(signals).T,
+        decay[:, None] * (defect + later[:, None] * growing_defect),
+        initial_defect @ starts.reach,
     )
 
 
 # --- what it leaves out ----------------------------------------------------------------------------
-class Forces(NamedTuple):
+class VelocityForces(NamedTuple):
     """(C + D) nu as D nu + Q(nu, nu), and what signs of velocities make of either."""
 
     D: Array  # shape (n, n)
@@ -430,7 +456,7 @@ class Forces(NamedTuple):
     Q_signs: Array  # bound on all products in which a magnitude, a sign or an uncertainty stands
 
 
-class Leftover(NamedTuple):
+class Derivatives(NamedTuple):
     """Bounds for angles up to caps, by derivatives in the angles.
 
     With v the pose rates, r = J' F - (C + D) nu and F the force of the law in pose coordinates,
@@ -443,17 +469,17 @@ class Leftover(NamedTuple):
     W: Array  # dW/dangle on an even keel, shape (angles, n, n)
     P: Array
     Gamma: Array  # without tilt, symmetric in its last two places, shape (n, n, n)
-    W_bent: Array  # halves of the second derivatives on an even keel, shape (angles, angles, n, n)
-    P_bent: Array
+    W_second: Array  # halves of the second derivatives on an even keel, shape (angles, angles, n, n)
+    P_second: Array
     # Up to each cap, along the first axis:
-    W_off: Array  # how far those are off elsewhere, shape (caps, angles, angles, n, n)
-    P_off: Array
+    W_error: Array  # how far those are off elsewhere, shape (caps, angles, angles, n, n)
+    P_error: Array
     J: Array  # |dJ/dangle|, shape (caps, angles, n, n)
     J_inverse: Array
     Gamma_slope: Array  # |dGamma/dangle|, shape (caps, angles, n, n, n)
 
 
-class Motion:
+class PoseLoop:
     """The loop of one vehicle about set-points of any heading, z = (integral, error, -error rate).
 
     Coordinates are those of the set-point: north is where it heads. There pose rates follow the error
@@ -468,10 +494,12 @@ class Motion:
         self.gains = [np.diag(problem.values[g]) for g in ("K_I", "K_P", "K_V") if g in problem.values]
         self.size = len(self.gains) * self.n
         self.angles = [a for a in ANGLES if a in self.names]
-        self.places = [self.names.index(a) for a in self.angles]
+        self.angle_indices = [self.names.index(a) for a in self.angles]
         self.plane = [self.names.index(c) for c in ("x", "y")] if {"x", "y", "psi"} <= set(self.names) else []
         self.forces = self._forces()
-        rotation_of(self.plant)  # inertia that is the same for all translations is not turned (`_even`)
+        rotation_of(
+            self.plant
+        )  # inertia that is the same for all translations is not turned (`_isotropic_part`)
         if self.plant.J.xreplace(dict.fromkeys(map(symbol, ANGLES), sm.Integer(0))) != sm.eye(self.n):
             raise UndertowError(
                 "pose rates are not velocities on an even keel: no bounds in time are searched for"
@@ -483,55 +511,58 @@ class Motion:
         return np.triu_indices(len(self.angles))
 
     # --- what the loop is made of -----------------------------------------------------------------
-    def _forces(self) -> Forces:
-        n, found = self.n, Forces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
+    def _forces(self) -> VelocityForces:
+        n, found = self.n, VelocityForces(*(np.zeros((self.n,) * k) for k in (2, 2, 3, 3)))
         products: dict[tuple[int, ...], float] = {}
-        for i, j, powers, value in motion_terms(self.plant, self.problem.spread):
+        for i, j, powers, value in motion_terms(self.plant, self.problem.parameter_box):
             key = (i, *(p + (k == j) for k, p in enumerate(powers)))
             products[key] = products.get(key, 0.0) + value
-        for (i, *own_powers), value in products.items():
-            signed, own = any(own_powers[n:]), [k for k in range(2 * n) for _ in range(own_powers[k])]
-            j, *rest = [k % n for k in own]
-            linear, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
+        for (i, *velocity_powers), value in products.items():
+            signed, velocities = (
+                any(velocity_powers[n:]),
+                [k for k in range(2 * n) for _ in range(velocity_powers[k])],
+            )
+            j, *rest = [k % n for k in velocities]
+            system_matrix, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
             for a, b in [(j, *rest), (*rest, j)] if rest else []:
                 square[i, a, b] += (abs(value) if signed else value) / 2
             if not rest:
-                linear[i, j] += abs(value) if signed else value
+                system_matrix[i, j] += abs(value) if signed else value
         return found
 
     @cached_property
-    def _inertias(self) -> Interval:
+    def _inverses(self) -> Interval:
         """M^-1 in every case of the signs, of every parameter in its box, shape (cases, n, n)."""
-        signs, M = sizes_and_signs(self.plant)[1], plain(self.plant, self.plant.M)
+        signs, M = sizes_and_signs(self.plant)[1], numeric_matrix(self.plant, self.plant.M)
         switching = [i for i, s in enumerate(signs) if s in M.free_symbols]
         cases = sign_cases(switching, self.n)
-        return inverses_of_inertia(self.problem, cases).whole
+        return inverses_of_inertia(self.problem, cases).enclosure
 
     @cached_property
     def inverse(self) -> Array:
         """M^-1 in the middle of all cases."""
-        return np.asarray(0.5 * (self._inertias.lo.min(axis=0) + self._inertias.hi.max(axis=0)))
+        return np.asarray(0.5 * (self._inverses.lo.min(axis=0) + self._inverses.hi.max(axis=0)))
 
     @cached_property
-    def inertia_off(self) -> Array:
+    def inertia_variation(self) -> Array:
         """|delta| of M^-1 = (I + delta) `inverse`, over all cases."""
         M = inverse_of_inertia(enclose(self.inverse[None]))
-        return np.asarray((self._inertias @ M - np.eye(self.n)).size.max(axis=0))
+        return np.asarray((self._inverses @ M - np.eye(self.n)).magnitude.max(axis=0))
 
-    def law(self, heading: float) -> tuple[Array, Array, Array]:
+    def law_matrices(self, heading: float) -> tuple[Array, Array, Array]:
         """F as rows on z for set-points of one heading; its slope in the heading; and its part that turns."""
-        turn, quarter = np.eye(self.n), np.zeros((self.n, self.n))
+        rotation, quarter = np.eye(self.n), np.zeros((self.n, self.n))
         if self.plane:
             c, s = np.cos(heading), np.sin(heading)
-            turn[np.ix_(self.plane, self.plane)] = [[c, -s], [s, c]]
+            rotation[np.ix_(self.plane, self.plane)] = [[c, -s], [s, c]]
             quarter[np.ix_(self.plane, self.plane)] = [[0.0, -1.0], [1.0, 0.0]]
-        own = [turn.T @ K @ turn for K in self.gains]
-        turned = [K @ quarter - quarter @ K for K in own]
-        apart = [0.5 * (K + quarter @ K @ quarter) for K in own]  # less its mean over the plane
-        force, slope, turning = (np.hstack([*m[:-1], -m[-1]]) for m in (own, turned, apart))
+        matrices = [rotation.T @ K @ rotation for K in self.gains]
+        slopes = [K @ quarter - quarter @ K for K in matrices]
+        anisotropic = [0.5 * (K + quarter @ K @ quarter) for K in matrices]  # less its mean over the plane
+        force, slope, turning = (np.hstack([*m[:-1], -m[-1]]) for m in (matrices, slopes, anisotropic))
         return force, slope[self.plane], turning[self.plane]
 
-    def linear(self, force: Array) -> Array:
+    def system_matrix(self, force: Array) -> Array:
         """z_dot = A z without what is left over."""
         n, none, unit = self.n, np.zeros((self.n, self.n)), np.eye(self.n)
         A = [np.hstack([none] * (len(self.gains) - 1) + [-unit])]
@@ -542,153 +573,168 @@ class Motion:
         return np.vstack([*A, v])
 
     @cached_property
-    def holding(self) -> Array:
+    def restoring_rows(self) -> Array:
         """Rows on the errors of roll and pitch for what holding the weight changes by, (commands, n)."""
         found = np.zeros((len(self.commands.limits), self.n))
-        slopes = self.commands.holding_slopes({}).middle[0] if len(found) else np.zeros((0, 2))
+        slopes = self.commands.restoring_slopes({}).middle[0] if len(found) else np.zeros((0, 2))
         for slope, a in zip(slopes.T, ("phi", "theta"), strict=True):
             if a in self.names:
                 found[:, self.names.index(a)] = -slope  # an angle is the error turned round
         return found
 
     @cached_property
-    def mirrors(self) -> bool:
+    def mirror_symmetric(self) -> bool:
         """Whether the loop at a heading is the mirror image, port for starboard, of one at its opposite.
 
         Whatever is bounded by magnitudes, as what a coefficient differs by ahead and astern, may be either
         way: only the rest has to keep its signs.
         """
-        signs, J = self._mirror, self.plant.J
-        turned = {symbol(a): -symbol(a) for a in ("phi", "psi")}
-        if sm.diag(*map(int, signs)) * J.xreplace(turned) * sm.diag(*map(int, signs)) != J:
+        signs, J = self._mirror_signs, self.plant.J
+        reflected = {symbol(a): -symbol(a) for a in ("phi", "psi")}
+        if sm.diag(*map(int, signs)) * J.xreplace(reflected) * sm.diag(*map(int, signs)) != J:
             return False
-        inertia = plain(self.plant, self.plant.M)
+        inertia = numeric_matrix(self.plant, self.plant.M)
         if any(inertia[i, j] != 0 for i, j in zip(*np.nonzero(np.outer(signs, signs) < 0), strict=True)):
             return False
         odd = np.einsum("i,j,k->ijk", signs, signs, signs) < 0
         return not (self.forces.Q[odd].any() or self.forces.D[np.outer(signs, signs) < 0].any())
 
     @property
-    def _mirror(self) -> Array:
+    def _mirror_signs(self) -> Array:
         """What a mirror between port and starboard does to each coordinate and velocity."""
         return np.array([-1.0 if d in (1, 3, 5) else 1.0 for d in self.plant.vehicle.dof_indices])
 
     @cached_property
-    def sides(self) -> tuple[Array, Array]:
+    def command_rows(self) -> tuple[Array, Array]:
         """Rows on the force, and on the errors, that give the commands, each of shape (sides, commands, n).
 
         With a second side where commands of a motion and of its mirror image differ and both are meant.
         """
-        rows, mirror = np.hstack([self.commands.share, self.holding]), np.tile(self._mirror, 2)
-        apart = rows[:, mirror > 0].any(axis=1) & rows[:, mirror < 0].any(axis=1)
-        both = np.stack([rows, rows * mirror] if self.mirrors and apart.any() else [rows])
+        rows, mirror = (
+            np.hstack([self.commands.force_to_commands, self.restoring_rows]),
+            np.tile(self._mirror_signs, 2),
+        )
+        mixed = rows[:, mirror > 0].any(axis=1) & rows[:, mirror < 0].any(axis=1)
+        both = np.stack([rows, rows * mirror] if self.mirror_symmetric and mixed.any() else [rows])
         return both[..., : self.n], both[..., self.n :]
 
     # --- what is left over ------------------------------------------------------------------------
     @cached_property
-    def _turns(self) -> tuple[list[str], Callable[..., Interval]]:
+    def _kinematic_terms(self) -> tuple[list[str], Callable[..., Interval]]:
         """J, its inverse and their derivatives: their names, and all of them as one matrix."""
-        J, Ji, every = self.plant.J, self.plant.J_inverse, [symbol(a) for a in self.angles]
-        pairs = [(k, m) for k in range(len(every)) for m in range(k + 1)]
+        J, Ji, angles = self.plant.J, self.plant.J_inverse, [symbol(a) for a in self.angles]
+        pairs = [(k, m) for k in range(len(angles)) for m in range(k + 1)]
         found = {"J": J, "i": Ji}
         for name, matrix in (("J", J), ("i", Ji)):
-            found |= {f"{name}{k}": matrix.diff(a) for k, a in enumerate(every)}
-            found |= {f"{name}{m}{k}": found[f"{name}{k}"].diff(every[m]) for k, m in pairs}
+            found |= {f"{name}{k}": matrix.diff(a) for k, a in enumerate(angles)}
+            found |= {f"{name}{m}{k}": found[f"{name}{k}"].diff(angles[m]) for k, m in pairs}
         return [*found], enclosing([symbol(a) for a in ANGLES], sm.Matrix.vstack(*found.values()))
 
-    def _at(self, caps: Array, cuts: int) -> dict[str, Interval]:
+    def _kinematics(self, caps: Array, cuts: int) -> dict[str, Interval]:
         """J, its inverse and their derivatives on boxes of angles up to each cap, (caps * boxes, 1, n, n)."""
-        cuts_of = [cuts if a in self.angles else 1 for a in ANGLES]
-        rows = np.array([*product_of(*map(range, cuts_of))])  # places of a box
-        most = np.zeros((len(caps), len(ANGLES)))
-        most[:, [ANGLES.index(a) for a in self.angles]] = caps
-        ends = ((2 * (rows + side) / cuts_of - 1) * most[:, None] for side in (0, 1))
+        counts = [cuts if a in self.angles else 1 for a in ANGLES]
+        boxes = np.array([*product_of(*map(range, counts))])  # places of a box
+        largest = np.zeros((len(caps), len(ANGLES)))
+        largest[:, [ANGLES.index(a) for a in self.angles]] = caps
+        ends = ((2 * (boxes + side) / counts - 1) * largest[:, None] for side in (0, 1))
         low, high = (e.reshape(-1, len(ANGLES)).T for e in ends)
-        names, function = self._turns
+        names, function = self._kinematic_terms
         found = function(*map(Interval, low, high)).reshape(-1, len(names), 1, self.n, self.n)
         return {name: found[:, k] for k, name in enumerate(names)}
 
-    def leftover(self, caps: Array) -> Leftover:
+    def derivatives(self, caps: Array) -> Derivatives:
         """The bounds for angles up to these, rad, shape (caps, angles)."""
-        at, level, count = self._at(caps, SETTINGS.cuts), self._at(0 * caps[:1], 1), range(len(self.angles))
-        W = self._turned(level, at, "J", self.inverse, len(caps))
-        P = self._turned(level, at, "i", self.inverse @ self.forces.D, len(caps))
-        slopes = ([_largest(at[f"{m}{a}"].size[:, 0], len(caps)) for a in count] for m in "Ji")
+        at, level, count = (
+            self._kinematics(caps, SETTINGS.angle_cuts),
+            self._kinematics(0 * caps[:1], 1),
+            range(len(self.angles)),
+        )
+        W = self._derivatives(level, at, "J", self.inverse, len(caps))
+        P = self._derivatives(level, at, "i", self.inverse @ self.forces.D, len(caps))
+        slopes = ([_largest(at[f"{m}{a}"].magnitude[:, 0], len(caps)) for a in count] for m in "Ji")
         J, Ji = (np.array(m).reshape(-1, len(caps), self.n, self.n).swapaxes(0, 1) for m in slopes)
-        Gamma, bent = self._curved(level, at, len(caps))
-        return Leftover(W[0], P[0], Gamma, W[1], P[1], W[2], P[2], J, Ji, bent)
+        Gamma, Gamma_slope = self._Gamma_bounds(level, at, len(caps))
+        return Derivatives(W[0], P[0], Gamma, W[1], P[1], W[2], P[2], J, Ji, Gamma_slope)
 
-    def _turned(
+    def _derivatives(
         self, level: dict[str, Interval], at: dict[str, Interval], right: str, matrix: Array, caps: int
     ) -> tuple[Array, Array, Array]:
         """J matrix J' or J matrix J^-1: first derivatives, halves of second ones, how far these are off."""
         count, shape = range(len(self.angles)), (len(self.angles),) * 2 + matrix.shape
         # A multiple of the identity in the block of the translations, or in either block, is not turned.
-        left = matrix - self._even(matrix, right == "i")
+        anisotropic = matrix - self._isotropic_part(matrix, right == "i")
 
-        def of(stack: dict[str, Interval], name: str) -> Interval:
+        def right_factor(stack: dict[str, Interval], name: str) -> Interval:
             return stack[f"i{name}"] if right == "i" else stack[f"J{name}"].T
 
         def product(stack: dict[str, Interval], a: str, b: str) -> Interval:
-            return stack[f"J{a}"] @ left @ of(stack, b)
+            return stack[f"J{a}"] @ anisotropic @ right_factor(stack, b)
 
-        def twice(stack: dict[str, Interval], a: int, b: int) -> Interval:
+        def half_second(stack: dict[str, Interval], a: int, b: int) -> Interval:
             both = f"{min(a, b)}{max(a, b)}"
             pairs = ((both, ""), ("", both), (f"{a}", f"{b}"), (f"{b}", f"{a}"))
             return 0.5 * sum((product(stack, *p) for p in pairs), enclose(0 * matrix))
 
         first = [(product(level, f"{a}", "") + product(level, "", f"{a}")).middle[0, 0] for a in count]
-        bent, off = np.zeros(shape), np.zeros((caps, *shape))
+        second, remainder = np.zeros(shape), np.zeros((caps, *shape))
         for a, b in product_of(count, repeat=2):
-            bent[a, b] = twice(level, a, b).middle[0, 0]
-            off[:, a, b] = _largest((twice(at, a, b) - bent[a, b]).size[:, 0], caps)
-        return np.array(first).reshape(-1, *matrix.shape), bent, off + PROOFS.rounding * np.abs(bent)
+            second[a, b] = half_second(level, a, b).middle[0, 0]
+            remainder[:, a, b] = _largest((half_second(at, a, b) - second[a, b]).magnitude[:, 0], caps)
+        return (
+            np.array(first).reshape(-1, *matrix.shape),
+            second,
+            remainder + PROOFS.rounding * np.abs(second),
+        )
 
-    def _even(self, matrix: Array, both: bool) -> Array:
+    def _isotropic_part(self, matrix: Array, both: bool) -> Array:
         dofs, mean = np.array(self.plant.vehicle.dof_indices), np.zeros(self.n)
         for block in (dofs < 3, dofs >= 3) if both else (dofs < 3,):
             mean[block] = np.diag(matrix)[block].mean() if block.any() else 0.0
         return np.diag(mean)
 
-    def _curved(self, level: dict[str, Interval], at: dict[str, Interval], caps: int) -> tuple[Array, Array]:
+    def _Gamma_bounds(
+        self, level: dict[str, Interval], at: dict[str, Interval], caps: int
+    ) -> tuple[Array, Array]:
         """Gamma on an even keel, and magnitudes of its slopes up to each cap."""
         n, n3, count = self.n, (self.n,) * 3, range(len(self.angles))
         A = enclose(-np.tensordot(self.inverse, self.forces.Q, 1))
 
-        def curved(J: Interval, left: Interval, right: Interval) -> Interval:
+        def transformed(J: Interval, left: Interval, right: Interval) -> Interval:
             """J (left' A right) over the places of the first index."""
             inner, boxes = left.T @ A @ right, len(J)
             return (J @ inner.reshape(-1, 1, n, n * n)).reshape(boxes, *n3)
 
-        def turning(rows: list[Interval]) -> Interval:
+        def J_dot_terms(rows: list[Interval]) -> Interval:
             """J_dot J^-1 v as a form in v: of each angle's rate, what it turns."""
             found = np.zeros((2, len(rows[0]) if rows else 1, *n3))
-            for place, row in zip(self.places, rows, strict=True):
-                found[:, :, :, place] = row.lo[:, 0], row.hi[:, 0]
+            for index, row in zip(self.angle_indices, rows, strict=True):
+                found[:, :, :, index] = row.lo[:, 0], row.hi[:, 0]
             return Interval(*found)
 
-        def sym(form: Interval) -> Interval:
+        def symmetric(form: Interval) -> Interval:
             return 0.5 * (form + form.T)
 
         slopes = []
         for b in count:
             second = [at[f"J{min(a, b)}{max(a, b)}"] for a in count]
-            kin = turning([second[a] @ at["i"] + at[f"J{a}"] @ at[f"i{b}"] for a in count])
+            rate_terms = J_dot_terms([second[a] @ at["i"] + at[f"J{a}"] @ at[f"i{b}"] for a in count])
             parts = (("J", f"i{b}", "i"), ("J", "i", f"i{b}"), (f"J{b}", "i", "i"))
-            whole = sym(sum((curved(*(at[p] for p in names)) for names in parts), kin)).size
-            slopes.append(_largest(whole, caps))
-        flat = turning([level[f"J{a}"] @ level["i"] for a in count]) + curved(
+            total = symmetric(
+                sum((transformed(*(at[p] for p in names)) for names in parts), rate_terms)
+            ).magnitude
+            slopes.append(_largest(total, caps))
+        on_even_keel = J_dot_terms([level[f"J{a}"] @ level["i"] for a in count]) + transformed(
             level["J"], level["i"], level["i"]
         )
-        return sym(flat).middle[0], np.array(slopes).reshape(-1, caps, *n3).swapaxes(0, 1)
+        return symmetric(on_even_keel).middle[0], np.array(slopes).reshape(-1, caps, *n3).swapaxes(0, 1)
 
     @cached_property
     def magnitudes(self) -> tuple[Array, ...]:
         """|M^-1| and what it makes of the forces' magnitudes: D_signs, |Q| and Q_signs."""
         M = np.abs(self.inverse)
-        of = self.forces
-        Q = np.abs(np.tensordot(self.inverse, of.Q, 1))
-        return M, M @ of.D_signs, Q * (1 + PROOFS.room), np.tensordot(M, of.Q_signs, 1)
+        forces = self.forces
+        Q = np.abs(np.tensordot(self.inverse, forces.Q, 1))
+        return M, M @ forces.D_signs, Q * (1 + PROOFS.room), np.tensordot(M, forces.Q_signs, 1)
 
 
 def _largest(sizes: Array, caps: int) -> Array:

@@ -22,7 +22,7 @@ from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
-from .attitude import Attitudes, Certificate, Interval, least, transposed
+from .attitude import Attitudes, Certificate, Interval, margin_bound, transposed
 from .by_law import CONDITIONS, Condition, Quantities
 
 
@@ -33,12 +33,12 @@ class SearchSettings:
     low: float = 1e-9  # least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero
     high: float = 1e9  # largest one; what holds there holds without end
     points: int = 19  # points in between at first, one for each power of ten
-    finer: int = 9  # points between the neighbours of the best one, again and again
-    close: float = 1e-8  # relative distance of neighbours that is close enough
+    refined_points: int = 9  # points between the neighbours of the best one, again and again
+    tolerance: float = 1e-8  # relative distance of neighbours that is close enough
     rounding: float = 1e-12  # of margins, relative to the largest at any attitude
     headings: int = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
     tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
-    most_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
+    max_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
     # Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
     tilt_range: tuple[float, float] = (1.0, 85.0)
     confidence_range: tuple[float, float] = (0.5, 0.9999)  # of intervals and ellipsoids
@@ -65,7 +65,7 @@ class SignSet:
     """The plant at rest while every velocity that switches parameters keeps one sign."""
 
     name: str  # "forward", "backward", or the signs of the velocities where they are mixed
-    way: Mapping[sm.Symbol, int]  # 1 or -1 by velocity
+    signs: Mapping[sm.Symbol, int]  # 1 or -1 by velocity
     names: tuple[str, ...]  # parameters that M and D depend on here
     theta: Array  # their values, SI, SNAME signs, shape (n_parameters,)
     M: Affine  # inertia, body frame, shape (n, n)
@@ -84,12 +84,14 @@ class SignSet:
 
 def sign_sets(plant: Plant) -> list[SignSet]:
     """All sign sets of a plant: all forward and all backward first, then the mixed ones."""
-    ways = [dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))]
-    ways.sort(key=lambda way: len(set(way.values())) > 1)
+    combinations = [
+        dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))
+    ]
+    combinations.sort(key=lambda signs: len(set(signs.values())) > 1)
     at_rest = _at_rest(plant)
-    found = [_sign_set(plant, way, *at_rest) for way in ways]
-    for one in found:
-        _check(one, plant)
+    found = [_sign_set(plant, signs, *at_rest) for signs in combinations]
+    for sign_set in found:
+        _check(sign_set, plant)
     return found
 
 
@@ -99,11 +101,13 @@ def _at_rest(plant: Plant) -> tuple[list[sm.Symbol], Callable[..., Any]]:
     signs = {sm.sign(v): sm.Symbol(f"sign_{v}") for v in plant.reversing}
     both = sm.Matrix.hstack(*(m.xreplace(signs).xreplace(rest) for m in (plant.M, plant.D)))
     names = sorted(both.free_symbols & set(plant.numbers), key=str)
-    every = [_filled(m, plant.numbers, set(signs.values())) for m in (both, *(both.diff(x) for x in names))]
+    every = [
+        _substituted(m, plant.numbers, set(signs.values())) for m in (both, *(both.diff(x) for x in names))
+    ]
     return names, function_of([*signs.values()], [m.tolist() for m in every])
 
 
-def _filled(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr], known: set[sm.Symbol]) -> sm.Matrix:
+def _substituted(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr], known: set[sm.Symbol]) -> sm.Matrix:
     filled = matrix.xreplace(numbers)
     if filled.free_symbols - known:
         names = ", ".join(sorted(map(str, filled.free_symbols - known)))
@@ -112,31 +116,31 @@ def _filled(matrix: sm.Matrix, numbers: Mapping[sm.Symbol, sm.Expr], known: set[
 
 
 def _sign_set(
-    plant: Plant, way: Mapping[sm.Symbol, int], names: list[sm.Symbol], values: Callable[..., Any]
+    plant: Plant, signs: Mapping[sm.Symbol, int], names: list[sm.Symbol], values: Callable[..., Any]
 ) -> SignSet:
     """Parameters enter linearly nearly always, else this is the tangent at the values of the file."""
-    found = np.array(values(*map(float, way.values())), dtype=float)
-    own = [k for k in range(len(names)) if found[k + 1].any()]
-    theta, n = np.array([float(plant.numbers[names[k]]) for k in own]), len(plant.nu)
-    slopes = found[1:][own]
+    found = np.array(values(*map(float, signs.values())), dtype=float)
+    used = [k for k in range(len(names)) if found[k + 1].any()]
+    theta, n = np.array([float(plant.numbers[names[k]]) for k in used]), len(plant.nu)
+    slopes = found[1:][used]
     constant = found[0] - np.tensordot(theta, slopes, 1)
     M, D = (Affine(constant[:, p], slopes[:, :, p]) for p in (slice(n), slice(n, None)))
-    return SignSet(_name(way), way, tuple(str(names[k]) for k in own), theta, M, D)
+    return SignSet(_name(signs), signs, tuple(str(names[k]) for k in used), theta, M, D)
 
 
-def _name(way: Mapping[sm.Symbol, int]) -> str:
-    signs = set(way.values())
-    if len(signs) > 1:
-        return ", ".join(f"{v} {'>' if s > 0 else '<'} 0" for v, s in way.items())
-    return {1: "forward", -1: "backward"}.get(next(iter(signs), 0), "")
+def _name(signs: Mapping[sm.Symbol, int]) -> str:
+    distinct = set(signs.values())
+    if len(distinct) > 1:
+        return ", ".join(f"{v} {'>' if s > 0 else '<'} 0" for v, s in signs.items())
+    return {1: "forward", -1: "backward"}.get(next(iter(distinct), 0), "")
 
 
-def _check(one: SignSet, plant: Plant) -> None:
-    of = f" ({one.name})" if one.name else ""
+def _check(signs: SignSet, plant: Plant) -> None:
+    of = f" ({signs.name})" if signs.name else ""
     dofs = plant.vehicle.degrees_of_freedom
-    if not np.isfinite(one.damping).all():
+    if not np.isfinite(signs.damping).all():
         raise UndertowError(f"damping at rest{of} is not finite: conditions need it; check [effects]")
-    values, vectors = np.linalg.eigh(one.inertia)
+    values, vectors = np.linalg.eigh(signs.inertia)
     if values[0] <= 1e-12 * max(values[-1], 1e-300):
         worst = dofs[int(np.argmax(np.abs(vectors[:, 0])))]
         raise UndertowError(
@@ -150,7 +154,7 @@ def _hull(sets: Sequence[SignSet]) -> SignSet:
     fixed = np.zeros((0, *sets[0].inertia.shape))
     M, D = (
         Affine(Interval(np.min(own, axis=0), np.max(own, axis=0)), fixed)
-        for own in ([one.inertia for one in sets], [one.damping for one in sets])
+        for own in ([sign_set.inertia for sign_set in sets], [sign_set.damping for sign_set in sets])
     )
     return SignSet("", {}, (), np.zeros(0), M, D)
 
@@ -159,15 +163,15 @@ def _stacked(sets: Sequence[SignSet]) -> SignSet:
     """The matrices of some sets along a first axis, before those of iotas and attitudes."""
     M, D = (
         Affine(np.array(own)[:, None, None], np.zeros((0, 1, 1)))
-        for own in ([one.inertia for one in sets], [one.damping for one in sets])
+        for own in ([sign_set.inertia for sign_set in sets], [sign_set.damping for sign_set in sets])
     )
     return SignSet("", {}, (), np.zeros(0), M, D)
 
 
 Span = tuple[float, float]
-Spread = Mapping[sm.Symbol, Span]
+ParameterBox = Mapping[sm.Symbol, Span]
 """Intervals of parameters, SI and SNAME signs."""
-NO_SPREAD: Spread = {}
+EXACT_PARAMETERS: ParameterBox = {}
 
 
 Margins = Callable[[Array], Array]
@@ -192,7 +196,7 @@ def where_positive(margins: Margins, concave: bool = True) -> Span | None:
     return _edge(margins, peak, low, 0.0), _edge(margins, peak, high, math.inf)
 
 
-def peak_of(margins: Margins) -> float:
+def best_iota(margins: Margins) -> float:
     """Where such a margin is largest."""
     return math.exp(_peak(margins)[0])
 
@@ -207,9 +211,9 @@ def _peak(
         values = margins(np.exp(grid))
         best = int(np.argmax(values))
         low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, count - 1)])
-        if high - low < SEARCH.close or decided(np.exp(grid), values, best):
+        if high - low < SEARCH.tolerance or decided(np.exp(grid), values, best):
             return float(grid[best]), float(values[best])
-        count = SEARCH.finer
+        count = SEARCH.refined_points
 
 
 def _nowhere_positive(x: Array, values: Array, best: int) -> bool:
@@ -228,7 +232,7 @@ def _edge(margins: Margins, peak: float, end: float, beyond: float) -> float:
     return beyond if margin(end) > 0 else math.exp(brentq(margin, end, peak, xtol=1e-14, rtol=1e-14))
 
 
-def inside(span: Span) -> float:
+def interior_point(span: Span) -> float:
     """A number well within an interval."""
     low, high = span
     if low == 0.0 and math.isinf(high):
@@ -241,17 +245,19 @@ def inside(span: Span) -> float:
 class Problem:
     """The margins of every condition of a law, for roll and pitch up to `tilt`, rad.
 
-    A region has to hold for every value of the parameters in `spread`; conditions have those of the file.
+    A region has to hold for every parameter in `parameter_box`; conditions have the values of the file.
     """
 
-    def __init__(self, gains: GainSet, tilt: float = np.pi / 3, spread: Spread = NO_SPREAD) -> None:
+    def __init__(
+        self, gains: GainSet, tilt: float = np.pi / 3, parameter_box: ParameterBox = EXACT_PARAMETERS
+    ) -> None:
         low, high = SEARCH.tilt_range
         degrees = round(math.degrees(tilt), 9)
         if not low <= degrees <= high:
             raise UndertowError(
                 f"conditions cannot cover roll and pitch up to {degrees:g} deg: give {low:g} to {high:g}"
             )
-        self.gains, self.plant, self.spread = gains, gains.plant, spread
+        self.gains, self.plant, self.parameter_box = gains, gains.plant, parameter_box
         self.coordinates = gains.signals.coordinates
         self.conditions: tuple[Condition, ...] = CONDITIONS[gains.law.id]
         self.sets: list[SignSet] = sign_sets(gains.plant)
@@ -259,18 +265,18 @@ class Problem:
             g.name: np.array([gains.values[str(g.symbol(c))] for c in self.coordinates])
             for g in type(gains.law).gains
         }
-        self.attitudes = Attitudes(gains.plant, tilt, self.same(("x", "y", "z")))
+        self.attitudes = Attitudes(gains.plant, tilt, self.equal_gains(("x", "y", "z")))
 
-    def changed(self, values: dict[str, Array]) -> Problem:
+    def with_gains(self, values: dict[str, Array]) -> Problem:
         """The same with other gains."""
         other = object.__new__(Problem)
         other.__dict__.update(self.__dict__)
         other.values = values
         return other
 
-    def of_forms(self, forms: Sequence[str]) -> Problem:
+    def with_forms(self, forms: Sequence[str]) -> Problem:
         """The same with the conditions of some forms only; with all where none is named."""
-        other = self.changed(self.values)
+        other = self.with_gains(self.values)
         other.conditions = tuple(c for c in self.conditions if not forms or c.form in forms)
         if not other.conditions:
             raise UndertowError(
@@ -290,33 +296,33 @@ class Problem:
         return [i for i in range(self.size) if all(v[i] for v in self.values.values())]
 
     @cached_property
-    def distinct(self) -> list[SignSet]:
+    def relevant_sets(self) -> list[SignSet]:
         """The sign sets that matter: where no axis meets another the mixed ones add nothing to the first two.
 
         Diagonal M and D are not enough: an attitude that gains do not commute with mixes the axes.
         """
-        return self.sets[:2] if self.decoupled and self.attitudes.unchanged(self.turned) else self.sets
+        return self.sets[:2] if self.decoupled and self.attitudes.invariant(self.yaw_invariant) else self.sets
 
     @cached_property
     def decoupled(self) -> bool:
         """Whether M and D are diagonal, so that every axis is a channel of its own at rest."""
-        matrices = [m for one in self.sets for m in (one.inertia, one.damping)]
+        matrices = [m for signs in self.sets for m in (signs.inertia, signs.damping)]
         return all(np.array_equal(m, np.diag(np.diag(m))) for m in matrices)
 
     @property
-    def turned(self) -> bool:
+    def yaw_invariant(self) -> bool:
         """Whether no gain tells north from east, so that the heading changes no eigenvalue."""
-        return self.same(("x", "y")) or not {"x", "y"} & set(self.coordinates)
+        return self.equal_gains(("x", "y")) or not {"x", "y"} & set(self.coordinates)
 
     @property
-    def heading_counts(self) -> bool:
+    def heading_matters(self) -> bool:
         """Whether the loop at rest can differ between headings: gains tell north from east, and it turns."""
-        return not self.turned and {"x", "y", "psi"} <= set(self.coordinates)
+        return not self.yaw_invariant and {"x", "y", "psi"} <= set(self.coordinates)
 
     @cached_property
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
-        if not self.heading_counts:
+        if not self.heading_matters:
             return [(0.0, inverse_of(self.attitudes.at({})))]
         degrees = map(float, range(0, 180, 10))
         return [(d, inverse_of(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
@@ -325,12 +331,12 @@ class Problem:
     def channels(self) -> list[tuple[int, int, str]]:
         """Coordinate, axis and name of each channel; x and y change axes for a vehicle that heads east."""
         own = [(i, i, self.coordinates[i]) for i in self.driven]
-        if not self.heading_counts:
+        if not self.heading_matters:
             return own
         x, y = (self.coordinates.index(c) for c in ("x", "y"))
         return [*own, (x, y, "x heading east"), (y, x, "y heading east")]
 
-    def same(self, coordinates: tuple[str, ...]) -> bool:
+    def equal_gains(self, coordinates: tuple[str, ...]) -> bool:
         """Whether the vehicle has these coordinates, and every gain is the same for all of them."""
         if not set(coordinates) <= set(self.coordinates):
             return False
@@ -338,10 +344,10 @@ class Problem:
         return all(len({float(v[i]) for i in places}) == 1 for v in self.values.values())
 
     @cached_property
-    def sampled(self) -> list[tuple[dict[str, float], Array]]:
+    def sampled_attitudes(self) -> list[tuple[dict[str, float], Array]]:
         """Attitudes spread over the range with J^-1, to choose iota by and to estimate the region at."""
-        angles = self.attitudes.angles(self.turned)
-        if self.attitudes.unchanged(self.turned):
+        angles = self.attitudes.angles(self.yaw_invariant)
+        if self.attitudes.invariant(self.yaw_invariant):
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
@@ -355,67 +361,72 @@ class Problem:
         return [(point, self.attitudes.at(point)) for point in points]
 
     @cached_property
-    def _samples(self) -> Array:
-        return np.array([inverse for _, inverse in self.sampled])
+    def _sampled_inverses(self) -> Array:
+        return np.array([inverse for _, inverse in self.sampled_attitudes])
 
     @property
-    def few_attitudes(self) -> Array:
+    def few_inverses(self) -> Array:
         """Some attitudes for what has to be tried with many parameters, shape (k, n, n)."""
-        return self._samples[:: max(1, len(self._samples) // 8)]
+        return self._sampled_inverses[:: max(1, len(self._sampled_inverses) // 8)]
 
     # --- margins ------------------------------------------------------------------------------
     def quantities(
-        self, one: SignSet, inverse: Any, iota: float | Array | None, theta: Array | None = None
+        self, signs: SignSet, inverse: Any, iota: float | Array | None, theta: Array | None = None
     ) -> Quantities:
         """All quantities in the pose coordinates that are driven, for J^-1 as numbers or intervals."""
-        theta = one.theta if theta is None else theta
-        own = self.driven
-        gains = {name: np.diag(v[own]) for name, v in self.values.items()}
-        columns = inverse[..., own]
-        M, D = (transposed(columns) @ m.at(theta) @ columns for m in (one.M, one.D))
+        theta = signs.theta if theta is None else theta
+        driven = self.driven
+        gains = {name: np.diag(v[driven]) for name, v in self.values.items()}
+        columns = inverse[..., driven]
+        M, D = (transposed(columns) @ m.at(theta) @ columns for m in (signs.M, signs.D))
         return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
     def channel_quantities(
-        self, one: SignSet, i: int, iota: Any, theta: Array | None = None, axis: int | None = None
+        self, signs: SignSet, i: int, iota: Any, theta: Array | None = None, axis: int | None = None
     ) -> Quantities:
         """The quantities of one channel at rest on an even keel, shape (..., 1, 1).
 
         A coordinate acts on its own axis (heading north) unless another one is given.
         """
-        theta = one.theta if theta is None else theta
+        theta = signs.theta if theta is None else theta
         k = i if axis is None else axis
         gains = {name: v[i].reshape(1, 1) for name, v in self.values.items()}
-        M, D = (m.at(theta)[..., k : k + 1, k : k + 1] for m in (one.M, one.D))
+        M, D = (m.at(theta)[..., k : k + 1, k : k + 1] for m in (signs.M, signs.D))
         return Quantities({**gains, "M": M, "D": D, "iota": iota})
 
     def margins(
-        self, condition: Condition, one: SignSet, iotas: Array, channel: int | None = None, few: bool = False
+        self,
+        condition: Condition,
+        signs: SignSet,
+        iotas: Array,
+        channel: int | None = None,
+        few: bool = False,
     ) -> Array:
         """Margins of a condition for many iotas: of a channel, or as matrices the least over attitudes."""
         if channel is not None:
-            quantities = self.channel_quantities(one, channel, iotas[:, None, None])
+            quantities = self.channel_quantities(signs, channel, iotas[:, None, None])
             return np.broadcast_to(condition.margin(quantities), len(iotas))
-        inverses = self.few_attitudes if few else self._samples
-        return self._at_attitudes(condition, one, iotas, inverses).min(axis=1)
+        inverses = self.few_inverses if few else self._sampled_inverses
+        return self._margins_by_iota(condition, signs, iotas, inverses).min(axis=1)
 
-    def _at_attitudes(self, condition: Condition, one: SignSet, iotas: Array, inverses: Array) -> Array:
+    def _margins_by_iota(self, condition: Condition, signs: SignSet, iotas: Array, inverses: Array) -> Array:
         """Margins for every iota at every attitude, shape (iotas, attitudes)."""
-        found = condition.margin(self.quantities(one, inverses, iotas[:, None, None, None]))
+        found = condition.margin(self.quantities(signs, inverses, iotas[:, None, None, None]))
         return np.broadcast_to(found, (len(iotas), len(inverses)))
 
     def margin(
-        self, condition: Condition, one: SignSet, iota: float | None, channel: int | None = None
+        self, condition: Condition, signs: SignSet, iota: float | None, channel: int | None = None
     ) -> float:
         """The margin for one iota; any where the condition has none."""
-        return float(self.margins(condition, one, np.array([1.0 if iota is None else iota]), channel)[0])
+        return float(self.margins(condition, signs, np.array([1.0 if iota is None else iota]), channel)[0])
 
-    def certificate(self, condition: Condition, one: SignSet, iota: float | None) -> Certificate:
+    def certificate(self, condition: Condition, signs: SignSet, iota: float | None) -> Certificate:
         """The margin over all attitudes in one sign set, with its proof."""
 
         def margins(inverse: Any) -> Array:
-            return self._margins_at(condition, one, inverse, iota)
+            return self._margins_at(condition, signs, inverse, iota)
 
-        return least(margins, self.attitudes, self.turned, bool(condition.uses))
+        return margin_bound(margins, self.attitudes, self.yaw_invariant, bool(condition.uses))
 
     def proved(self, condition: Condition, sets: Sequence[SignSet], iota: float | None) -> bool:
         """Whether a condition is proved over all attitudes in all of these sets.
@@ -424,19 +435,19 @@ class Problem:
         and damping between those of the sets holds in each of them, and is one matrix at most attitudes.
         """
         hull = _hull(sets)
-        for tried in ([hull], sets):
+        for group in ([hull], sets):
 
-            def margins(inverse: Any, tried: Sequence[SignSet] = tried) -> Array:
+            def margins(inverse: Any, group: Sequence[SignSet] = group) -> Array:
                 if isinstance(inverse, Interval):
-                    return self._bounds_in_all(condition, hull, sets, inverse, iota)
-                return np.min([self._margins_at(condition, one, inverse, iota) for one in tried], axis=0)
+                    return self._bounds_over_sets(condition, hull, sets, inverse, iota)
+                return np.min([self._margins_at(condition, signs, inverse, iota) for signs in group], axis=0)
 
-            found = least(margins, self.attitudes, self.turned, bool(condition.uses))
-            if found.found > 0:
-                return found.bound > 0
+            certificate = margin_bound(margins, self.attitudes, self.yaw_invariant, bool(condition.uses))
+            if certificate.least_found > 0:
+                return certificate.bound > 0
         return False
 
-    def _bounds_in_all(
+    def _bounds_over_sets(
         self,
         condition: Condition,
         hull: SignSet,
@@ -451,43 +462,43 @@ class Problem:
         bounds = self._margins_at(condition, hull, inverse, iota)
         left = np.flatnonzero(bounds <= 0)
         bounds[left] = np.inf
-        for one in sets:
+        for signs in sets:
             if not len(left):
                 break
-            bounds[left] = np.minimum(bounds[left], self._margins_at(condition, one, inverse[left], iota))
+            bounds[left] = np.minimum(bounds[left], self._margins_at(condition, signs, inverse[left], iota))
             left = left[bounds[left] > 0]
         return bounds
 
-    def _margins_at(self, condition: Condition, one: SignSet, inverse: Any, iota: float | None) -> Array:
+    def _margins_at(self, condition: Condition, signs: SignSet, inverse: Any, iota: float | None) -> Array:
         """Margins for J^-1 at attitudes, or bounds below them at boxes of attitudes, shape (k,)."""
-        found = condition.margin(self.quantities(one, inverse, iota))
+        found = condition.margin(self.quantities(signs, inverse, iota))
         return np.array(np.broadcast_to(found, len(inverse)))
 
     def with_damping(self, damping: Array) -> SignSet:
         """The first sign set with other damping at rest, whatever the parameters."""
-        one = self.sets[0]
-        return replace(one, D=Affine(damping, np.zeros_like(one.D.slopes)))
+        signs = self.sets[0]
+        return replace(signs, D=Affine(damping, np.zeros_like(signs.D.slopes)))
 
     # --- iota ---------------------------------------------------------------------------------
-    def iota(
+    def iota_interval(
         self, conditions: Sequence[Condition], sets: list[SignSet], channel: int | None = None
     ) -> Span | None:
         """The values of iota for which conditions hold together in all of these sets, or None."""
-        pairs = [(c, one) for c in conditions for one in differing(c, sets)]
+        pairs = [(c, signs) for c in conditions for signs in distinct_for(c, sets)]
         if channel is None:
-            return self._iota_of_matrices(pairs)
+            return self._matrix_iota_interval(pairs)
         return where_positive(
-            lambda iotas: np.min([self.margins(c, one, iotas, channel) for c, one in pairs], axis=0)
+            lambda iotas: np.min([self.margins(c, signs, iotas, channel) for c, signs in pairs], axis=0)
         )
 
-    def _iota_of_matrices(self, pairs: Sequence[tuple[Condition, SignSet]]) -> Span | None:
+    def _matrix_iota_interval(self, pairs: Sequence[tuple[Condition, SignSet]]) -> Span | None:
         """From a few attitudes, and then from those at which the ends of the interval fail."""
         conditions = dict.fromkeys(c for c, _ in pairs)
-        stacks = [(c, _stacked([one for own, one in pairs if own is c])) for c in conditions]
+        stacks = [(c, _stacked([signs for own, signs in pairs if own is c])) for c in conditions]
 
         def at_few(iotas: Array) -> Array:
-            given, shape = iotas[:, None, None, None], (1, len(iotas), len(self.few_attitudes))
-            each = (c.margin(self.quantities(own, self.few_attitudes, given)) for c, own in stacks)
+            column, shape = iotas[:, None, None, None], (1, len(iotas), len(self.few_inverses))
+            each = (c.margin(self.quantities(own, self.few_inverses, column)) for c, own in stacks)
             whole = (np.broadcast_to(m, np.broadcast_shapes(np.shape(m), shape)) for m in each)
             return np.min([m.min(axis=(0, 2)) for m in whole], axis=0)
 
@@ -496,32 +507,32 @@ class Problem:
 
         def least(iotas: Array) -> Array:
             each = (
-                self._at_attitudes(*pairs[k], iotas, self._samples[sorted(own)]).min(axis=1)
+                self._margins_by_iota(*pairs[k], iotas, self._sampled_inverses[sorted(own)]).min(axis=1)
                 for k, own in active.items()
             )
             return np.min([*each], axis=0)
 
         while span is not None:
-            places = np.clip([span[0], inside(span), span[1]], SEARCH.low, SEARCH.high)
-            found = np.array([self._at_attitudes(*pair, places, self._samples) for pair in pairs])
-            close = SEARCH.rounding * np.abs(found).max(axis=(0, 2))
-            if active and (found.min(axis=(0, 2)) >= least(places) - close).all():
+            probes = np.clip([span[0], interior_point(span), span[1]], SEARCH.low, SEARCH.high)
+            found = np.array([self._margins_by_iota(*pair, probes, self._sampled_inverses) for pair in pairs])
+            rounding = SEARCH.rounding * np.abs(found).max(axis=(0, 2))
+            if active and (found.min(axis=(0, 2)) >= least(probes) - rounding).all():
                 return span
             for margins in found.swapaxes(0, 1):
-                k, place = np.unravel_index(int(margins.argmin()), margins.shape)
-                active.setdefault(int(k), set()).add(int(place))
+                k, worst = np.unravel_index(int(margins.argmin()), margins.shape)
+                active.setdefault(int(k), set()).add(int(worst))
             span = where_positive(least)
         return None
 
 
-def differing(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]:
+def distinct_for(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]:
     """Of sets that are the same to a condition, the first."""
     found: dict[bytes, SignSet] = {}
-    for one in sets:
+    for signs in sets:
         used = b"".join(
-            m.tobytes() for n, m in (("M", one.inertia), ("D", one.damping)) if n in condition.uses
+            m.tobytes() for n, m in (("M", signs.inertia), ("D", signs.damping)) if n in condition.uses
         )
-        found.setdefault(used, one)
+        found.setdefault(used, signs)
     return list(found.values())
 
 
@@ -535,7 +546,7 @@ SAMPLED, NO_IOTA_THERE = "undecided (attitudes sampled)", "no iota at the values
 
 
 @dataclass(frozen=True)
-class Range:
+class RobustVerdict:
     """A verdict over a set of parameter values."""
 
     verdict: str  # ALL, SOME, NOMINAL, NO_IOTA_THERE, or OPEN or SAMPLED (neither proved nor refuted)
@@ -569,65 +580,67 @@ class Uncertainty:
 
     def covariance(self, names: Sequence[str]) -> Array:
         """Covariance of some parameters, shape (n, n)."""
-        spread = [self.vehicle.value_of(n).sigma or 0.0 for n in names]
-        result = np.diag(np.square(spread))
+        sigmas = [self.vehicle.value_of(n).sigma or 0.0 for n in names]
+        result = np.diag(np.square(sigmas))
         known = [i for i, n in enumerate(names) if n in self._names]
-        places = [self._names.index(names[i]) for i in known]
+        rows = [self._names.index(names[i]) for i in known]
         if known:
-            result[np.ix_(known, known)] = self._matrix[np.ix_(places, places)]
+            result[np.ix_(known, known)] = self._matrix[np.ix_(rows, rows)]
         return result
 
-    def over_box(self, margins: Margins, one: SignSet, matters: Flags) -> Range:
-        """Over every value of what `matters` within its own interval and its physical bounds."""
-        if np.count_nonzero(matters) > SEARCH.most_corners:
-            return self._range(margins(one.theta[None]), one.theta[None], one, proved=False)
-        corners = self._corners(one, matters, float(ndtri(0.5 + self.confidence / 2)))
-        return self._range(margins(corners), corners, one, margins(one.theta[None])[0])
+    def over_box(self, margins: Margins, signs: SignSet, relevant: Flags) -> RobustVerdict:
+        """Over every value of what `relevant` within its own interval and its physical bounds."""
+        if np.count_nonzero(relevant) > SEARCH.max_corners:
+            return self._robust_verdict(margins(signs.theta[None]), signs.theta[None], signs, proved=False)
+        corners = self._corners(signs, relevant, float(ndtri(0.5 + self.confidence / 2)))
+        return self._robust_verdict(margins(corners), corners, signs, margins(signs.theta[None])[0])
 
-    def over_ellipsoid(self, margins: Margins, one: SignSet, features: Array) -> Range:
+    def over_ellipsoid(self, margins: Margins, signs: SignSet, features: Array) -> RobustVerdict:
         """Over the ellipsoid of all uncertain parameters together.
 
         `features` are the linear combinations of parameters that the margin depends on, shape
         (m, n_parameters); with two of them the verdict is practically exact, with more the bound is that of a
         box around the ellipsoid.
         """
-        covariance = self.covariance(one.names)
+        covariance = self.covariance(signs.names)
         count = int(np.count_nonzero(np.diag(covariance)))
         if count == 0:
-            return self._range(margins(one.theta[None]), one.theta[None], one)
+            return self._robust_verdict(margins(signs.theta[None]), signs.theta[None], signs)
         reach = float(np.sqrt(chdtri(count, 1 - self.confidence)))
-        seen = features @ covariance @ features.T
-        values, vectors = np.linalg.eigh(seen)
+        feature_covariance = features @ covariance @ features.T
+        values, vectors = np.linalg.eigh(feature_covariance)
         kept = values > 1e-14 * max(values[-1], 1e-300)
         # Columns: how the parameters move along each axis of the ellipse of the features.
         axes = reach * (covariance @ features.T @ vectors[:, kept]) / np.sqrt(values[kept])
-        around, on = _polytope(axes.shape[1])
+        around, on_ball = _polytope(axes.shape[1])
         if around is None:
-            return self._range(margins(one.theta + on @ axes.T), one.theta + on @ axes.T, one, proved=False)
-        points = np.concatenate([one.theta[None], one.theta + on @ axes.T])
-        physical = self._within(points, covariance, reach, one)
-        found = self._range(margins(physical), physical, one)
+            return self._robust_verdict(
+                margins(signs.theta + on_ball @ axes.T), signs.theta + on_ball @ axes.T, signs, proved=False
+            )
+        points = np.concatenate([signs.theta[None], signs.theta + on_ball @ axes.T])
+        physical = self._physical_points(points, covariance, reach, signs)
+        found = self._robust_verdict(margins(physical), physical, signs)
         if found.verdict != ALL:
             return found
         # Concave margins are least at a corner of any polytope around the set: of two, either will do.
-        if float(margins(one.theta + around @ axes.T).min()) > 0:
+        if float(margins(signs.theta + around @ axes.T).min()) > 0:
             return found
-        box = self._corners(one, np.any(features != 0, axis=0), reach)
-        return found if float(margins(box).min()) > 0 else Range(OPEN, found.margin, {})
+        box = self._corners(signs, np.any(features != 0, axis=0), reach)
+        return found if float(margins(box).min()) > 0 else RobustVerdict(OPEN, found.margin, {})
 
-    def _within(self, points: Array, covariance: Array, reach: float, one: SignSet) -> Array:
+    def _physical_points(self, points: Array, covariance: Array, reach: float, signs: SignSet) -> Array:
         """Points moved to physical values, those of them that are still in the ellipsoid."""
-        bounds = self._bounds(one.names)
+        bounds = self._bounds(signs.names)
         moved = np.clip(points, bounds[:, 0], bounds[:, 1])
-        away = moved - one.theta
-        distance = np.einsum("ij,jk,ik->i", away, np.linalg.pinv(covariance, hermitian=True), away)
+        offsets = moved - signs.theta
+        distance = np.einsum("ij,jk,ik->i", offsets, np.linalg.pinv(covariance, hermitian=True), offsets)
         return moved[distance <= reach**2 * (1 + 1e-9)]
 
-    def _corners(self, one: SignSet, matters: Flags, reach: float) -> Array:
+    def _corners(self, signs: SignSet, relevant: Flags, reach: float) -> Array:
         """Corners of the box of all physical values within `reach` standard deviations."""
-        low, high = self._ends(one.names, one.theta, reach)
-        free = [j for j in np.flatnonzero(matters) if high[j] > low[j]]
-        corners = np.tile(one.theta, (2 ** len(free), 1))
+        low, high = self._interval_ends(signs.names, signs.theta, reach)
+        free = [j for j in np.flatnonzero(relevant) if high[j] > low[j]]
+        corners = np.tile(signs.theta, (2 ** len(free), 1))
         for row, choice in zip(corners, product(*[(low[j], high[j]) for j in free]), strict=True):
             row[free] = choice
         return corners
@@ -635,32 +648,32 @@ class Uncertainty:
     def intervals(self, names: Sequence[str]) -> list[Span]:
         """The interval of each parameter, cut at its physical bounds."""
         values = np.array([self.vehicle.value_of(n).value for n in names])
-        low, high = self._ends(names, values, float(ndtri(0.5 + self.confidence / 2)))
+        low, high = self._interval_ends(names, values, float(ndtri(0.5 + self.confidence / 2)))
         return list(zip(map(float, low), map(float, high), strict=True))
 
-    def _ends(self, names: Sequence[str], theta: Array, reach: float) -> tuple[Array, Array]:
-        spread, bounds = reach * np.sqrt(np.diag(self.covariance(names))), self._bounds(names)
-        return np.maximum(theta - spread, bounds[:, 0]), np.minimum(theta + spread, bounds[:, 1])
+    def _interval_ends(self, names: Sequence[str], theta: Array, reach: float) -> tuple[Array, Array]:
+        half_width, bounds = reach * np.sqrt(np.diag(self.covariance(names))), self._bounds(names)
+        return np.maximum(theta - half_width, bounds[:, 0]), np.minimum(theta + half_width, bounds[:, 1])
 
     def _bounds(self, names: Sequence[str]) -> Array:
         """Physical bounds of the parameters, shape (n_parameters, 2)."""
         declared = map(self.vehicle.parameter_of, names)
         return np.array([p.bounds if p else (-np.inf, np.inf) for p in declared]).reshape(-1, 2)
 
-    def _range(
-        self, values: Array, points: Array, one: SignSet, nominal: float | None = None, proved: bool = True
-    ) -> Range:
+    def _robust_verdict(
+        self, values: Array, points: Array, signs: SignSet, nominal: float | None = None, proved: bool = True
+    ) -> RobustVerdict:
         worst = int(np.argmin(values))
         least = float(values[worst])
         if least > 0:
-            return Range(ALL if proved else OPEN, least, {})
+            return RobustVerdict(ALL if proved else OPEN, least, {})
         if nominal is not None and nominal <= 0:
-            return Range(NOMINAL, least, {})
-        return Range(SOME, least, self._stated(points[worst], one))
+            return RobustVerdict(NOMINAL, least, {})
+        return RobustVerdict(SOME, least, self._in_file_signs(points[worst], signs))
 
-    def _stated(self, theta: Array, one: SignSet) -> dict[str, float]:
+    def _in_file_signs(self, theta: Array, signs: SignSet) -> dict[str, float]:
         """The parameters that differ from the file's, as the file would write them."""
-        vehicle, triples = self.vehicle, zip(one.names, theta, one.theta, strict=True)
+        vehicle, triples = self.vehicle, zip(signs.names, theta, signs.theta, strict=True)
         changed = {n: v for n, v, own in triples if abs(v - own) > 1e-9 * max(abs(own), 1e-9)}
         return {n: printed(vehicle.declaration(n), float(v), vehicle.signs) for n, v in changed.items()}
 
@@ -671,11 +684,11 @@ def _polytope(size: int) -> tuple[Array | None, Array]:
         ends = np.array([[-1.0], [1.0]])
         return ends, ends
     if size == 2:
-        turn = 2 * np.pi * np.arange(SEARCH.sides) / SEARCH.sides
-        circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        angle = 2 * np.pi * np.arange(SEARCH.sides) / SEARCH.sides
+        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return circle / np.cos(np.pi / SEARCH.sides), circle
-    on = np.concatenate([np.eye(size), -np.eye(size)])
-    if size > SEARCH.most_corners:
-        return None, on
+    on_ball = np.concatenate([np.eye(size), -np.eye(size)])
+    if size > SEARCH.max_corners:
+        return None, on_ball
     corners = np.array(list(product((-1.0, 1.0), repeat=size)))
-    return corners, np.concatenate([on, corners / np.sqrt(size)])
+    return corners, np.concatenate([on_ball, corners / np.sqrt(size)])

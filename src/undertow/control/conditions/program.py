@@ -15,8 +15,8 @@ from undertow.typing import Array
 
 from .attitude import Interval, enclose
 from .commands import Commands
+from .definite import LMI, coupled_states, lyapunov_operator, quadratic_values, solve_sdp
 from .definite import SETTINGS as PROOFS
-from .definite import Form, along, doubled, solved, touched
 from .embedding import Boxes, Corners, Embedding
 from .problem import Problem
 
@@ -31,7 +31,9 @@ class QuadraticSettings:
     # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add, which
     # are halved until they add less.
     slack: float = 0.01
-    stated: float = 0.05  # room in what is stated, and proved, of commands below their limits, relative
+    command_slack: float = (
+        0.05  # room in what is stated, and proved, of commands below their limits, relative
+    )
     sectors: int = (
         6  # where A depends on the heading: a V for each of so many ranges of set-points in half a turn
     )
@@ -39,39 +41,45 @@ class QuadraticSettings:
     halvings: int = 6
     # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
     # fewer, as this power of the number of rows: with their ends, those of 18 rows take 25 times as long.
-    most: int = 100_000
-    work_power: float = 8.0
-    whole: int = 4  # how many times the matrices of what the start needs the proof of the whole may look at
+    max_matrices: int = 100_000
+    matrices_power: float = 8.0
+    full_proof_factor: int = (
+        4  # how many times the matrices of what the start needs the proof of the whole may look at
+    )
     batch: int = 256  # boxes of attitudes and signs at a time: memory
     attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles
-    looked_at: int = 512  # attitudes and signs whose worst corner a round of the program looks for
-    starts: int = 3  # eigenvectors from which that corner is looked for, and
-    steps: int = 4  # turns between the corner and its eigenvector
+    sampled_corners: int = 512  # attitudes and signs whose worst corner a round of the program looks for
+    eigenvectors: int = 3  # eigenvectors from which that corner is looked for, and
+    alternations: int = 4  # turns between the corner and its eigenvector
     # Matrix inequalities of 12 rows that the solver is given in one search: seconds. Of larger ones there are
     # fewer, as this power of the number of rows.
-    most_forms: int = 3000
-    form_power: float = 7.0
+    max_inequalities: int = 3000
+    inequalities_power: float = 7.0
     rounds: int = 12  # of the program, each with the worst corners of the last one added
-    added: int = 8  # how many
-    idle: float = 1e-3  # corners with a dual below this part of the largest one are left out again
-    low_enough: float = 0.5  # of the start's level, which is not lowered further: V has room for other things
-    rise: float = 0.02  # of the start's level from a round to the next, below which the level is known
-    tries: int = 40  # boxes of speeds that are tried
+    added_corners: int = 8  # how many
+    inactive_dual: float = 1e-3  # corners with a dual below this part of the largest one are left out again
+    lowest_start_level: float = (
+        0.5  # of the start's level, which is not lowered further: V has room for other things
+    )
+    level_tolerance: float = (
+        0.02  # of the start's level from a round to the next, below which the level is known
+    )
+    max_speed_boxes: int = 40  # boxes of speeds that are tried
     first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
-    smaller: float = 0.6  # factor on speeds for which there is no V
+    shrink: float = 0.6  # factor on speeds for which there is no V
     least_speed: float = 1e-3  # of the first speeds, below which none is looked for: no error would move
     # Factors on speeds that a V asks for which does not hold the start: a little more, and at most so much.
-    more: float = 1.15
-    most_more: float = 8.0
-    least_fall: float = 0.003  # of the logarithm of the start's level that a step has to promise
+    growth: float = 1.15
+    max_growth: float = 8.0
+    least_decrease: float = 0.003  # of the logarithm of the start's level that a step has to promise
     least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
-    tilt: float = 2.0  # roll and pitch that are allowed for, times those of the start
+    tilt_factor: float = 2.0  # roll and pitch that are allowed for, times those of the start
     # Degrees of freedom up to which P may be a full matrix. Beyond, it has a block for each axis, as gains
     # have: the search takes seconds then instead of minutes.
-    most_full: int = 4
+    max_full_dofs: int = 4
 
     def share(self, size: int, power: float) -> float:
         """Which part of the work for matrices of 12 rows is for those of so many."""
@@ -96,7 +104,7 @@ class Proposal(NamedTuple):
     active: set[Key]  # corners that keep it from being lower
 
 
-class Row(NamedTuple):
+class StateBound(NamedTuple):
     """A sum of states that has to stay below its bound."""
 
     states: Array
@@ -104,43 +112,43 @@ class Row(NamedTuple):
     velocity: int | None = None  # which one, if it is one
 
 
-class Bounds(NamedTuple):
+class SpeedBox(NamedTuple):
     """A box that the level set V < 1 has to stay in."""
 
     speeds: Array  # body velocities, shape (n,)
     tilts: dict[str, float]  # roll and pitch, and the error of the heading where A depends on it, rad
 
 
-def thrust_left(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
+def remaining_thrust(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
     """What the limits leave beside the weight, within the tilts."""
-    left = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
-    if len(left) and left.min() <= 0:
+    remaining = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
+    if len(remaining) and remaining.min() <= 0:
         raise UndertowError("holding the weight at the roll and pitch of the start takes all of a thruster")
-    return np.asarray(left)
+    return np.asarray(remaining)
 
 
-class Asked(Protocol):
+class SearchContext(Protocol):
     """What programs of one search share."""
 
     problem: Problem
     loop: Embedding
     commands: Commands
     start: Array  # largest errors to begin with
-    every_reading: bool  # products of velocities may be read in every way (`identities`)
-    chosen: set[Key]  # corners that the programs so far were about
-    centre: float  # heading in the middle of those of the set-point, rad
+    all_identities: bool  # products of velocities may be read in every way (`identities`)
+    active_corners: set[Key]  # corners that the programs so far were about
+    heading_centre: float  # heading in the middle of those of the set-point, rad
 
-    def filled(self, values: Array) -> Array:
+    def with_floor(self, values: Array) -> Array:
         """At least a share of the largest of a kind."""
 
-    def spend(self, forms: int) -> None:
+    def count_inequalities(self, inequalities: int) -> None:
         """Count what the solver is given."""
 
 
 class Program:
     """The semidefinite program of one box of speeds and tilts."""
 
-    def __init__(self, search: Asked, bounds: Bounds) -> None:
+    def __init__(self, search: SearchContext, bounds: SpeedBox) -> None:
         self.search, self.bounds, self.loop = search, bounds, search.loop
         self.corners: Corners = self.loop.corners(bounds.speeds)
         self.samples = self._samples()
@@ -152,7 +160,7 @@ class Program:
         found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
         if "psi" in found:
             half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
-            found["psi"] = (self.search.centre - half, self.search.centre + half)
+            found["psi"] = (self.search.heading_centre - half, self.search.heading_centre + half)
         return found
 
     def _samples(self) -> Boxes:
@@ -165,7 +173,7 @@ class Program:
     def _scaling(self) -> Array:
         """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
         s, n = self.search, self.loop.n
-        error = s.filled(s.start)
+        error = s.with_floor(s.start)
         speed = self.bounds.speeds.copy()
         for group in self.loop.groups:
             speed[group] = speed[group].max()
@@ -183,32 +191,34 @@ class Program:
 
     # --- the program ----------------------------------------------------------------------------
     @property
-    def _apart(self) -> bool:
+    def _block_diagonal(self) -> bool:
         """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        return self.search.problem.decoupled or self.loop.n > SETTINGS.most_full
+        return self.search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
 
     @cached_property
     def basis(self) -> Array:
         """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
         n, size = self.loop.n, self.loop.size
-        pairs = [(i, j) for i in range(size) for j in range(i, size) if not self._apart or i % n == j % n]
+        pairs = [
+            (i, j) for i in range(size) for j in range(i, size) if not self._block_diagonal or i % n == j % n
+        ]
         found = np.zeros((len(pairs), size, size))
         for k, (i, j) in enumerate(pairs):
             found[k, i, j] = found[k, j, i] = 1.0
         return found
 
     @cached_property
-    def _pieces(self) -> tuple[Array, list[Array]]:
+    def _system_matrices(self) -> tuple[Array, list[Array]]:
         """A at rest (samples, cases, size, size) and what each velocity adds (samples, cases, ends, ...)."""
         rest = self.scaled(self.loop.rest(self.corners, self.samples)).middle
         ends = [self.scaled(e).middle for e in self.loop.added(self.corners, self.samples)]
         return rest, [np.broadcast_to(e, (len(rest), *e.shape[1:])) for e in ends]
 
-    def _corner(self, key: Key) -> Array:
-        rest, ends = self._pieces
-        sample, case, places = key
+    def _corner_matrix(self, key: Key) -> Array:
+        rest, ends = self._system_matrices
+        sample, case, vertices = key
         return np.asarray(
-            rest[sample, case] + sum(e[sample, case, p] for e, p in zip(ends, places, strict=True))
+            rest[sample, case] + sum(e[sample, case, p] for e, p in zip(ends, vertices, strict=True))
         )
 
     @cached_property
@@ -220,28 +230,28 @@ class Program:
     def identities(self) -> Array:
         """Forms of scaled states and body velocities that vanish, shape (m, n, size, size)."""
         n, size = self.loop.n, self.loop.size
-        every = self.search.every_reading
+        every = self.search.all_identities
         return identities(self.corners, n, size) if every else np.zeros((0, n, size, size))
 
     @cached_property
-    def _bodies(self) -> Array:
+    def _to_body(self) -> Array:
         """T of body velocities from scaled states at every sample, shape (samples, size, size)."""
         T = self.loop.body(self.samples).middle[:, 0] * self.scale[:, None] / self.scale
-        return np.broadcast_to(T, (len(self._pieces[0]), *T.shape[1:]))
+        return np.broadcast_to(T, (len(self._system_matrices[0]), *T.shape[1:]))
 
-    def _added(self, P: Array, free: Array, samples: Any, cases: Any) -> list[Array]:
+    def _velocity_terms(self, P: Array, free: Array, samples: Any, cases: Any) -> list[Array]:
         """What each velocity, then each parameter, adds to V_dot in these rows, (rows, ends, size, size)."""
-        T = self._bodies[samples][:, None]
-        turned = T @ free @ np.swapaxes(T, -1, -2)
-        found = [doubled(P, e[samples, cases]) for e in self._pieces[1]]
+        T = self._to_body[samples][:, None]
+        free_terms = T @ free @ np.swapaxes(T, -1, -2)
+        found = [lyapunov_operator(P, e[samples, cases]) for e in self._system_matrices[1]]
         for i, v in enumerate(self.values):
-            found[i] = found[i] + v[cases][..., None, None] * turned[:, i, None]
+            found[i] = found[i] + v[cases][..., None, None] * free_terms[:, i, None]
         return found
 
     @cached_property
     def rate(self) -> float:
         """The decay that is asked for, 1/s."""
-        slowest = -float(np.max(np.linalg.eigvals(self._pieces[0]).real))
+        slowest = -float(np.max(np.linalg.eigvals(self._system_matrices[0]).real))
         return SETTINGS.decay * slowest
 
     def solve(self, best: float = np.inf) -> Proposal | None:
@@ -250,173 +260,182 @@ class Program:
         Corners only raise the start's level, so that a program that comes above `best` has said enough, and
         one above one, too, once the corners that matter are among them.
         """
-        known = bool(self.search.chosen)  # by the programs of other speeds
-        chosen, last = self.search.chosen or self._first_corners(), 0.0
-        for turn in range(SETTINGS.rounds):
-            proposal = self._solved(sorted(chosen))
+        warm = bool(self.search.active_corners)  # by the programs of other speeds
+        active_corners, level = self.search.active_corners or self._first_corners(), 0.0
+        for seed in range(SETTINGS.rounds):
+            proposal = self._solve(sorted(active_corners))
             if proposal is None or proposal.start >= best:
                 return proposal
-            worst = set(self._violated(proposal, turn))
-            rises = proposal.start > last * (1 + SETTINGS.rise)
-            active = proposal.active if rises else chosen
-            self.search.chosen = active | worst
-            if worst <= chosen or (proposal.start > 1 and (known or not rises)):
+            worst = set(self._violated(proposal, seed))
+            rises = proposal.start > level * (1 + SETTINGS.level_tolerance)
+            active = proposal.active if rises else active_corners
+            self.search.active_corners = active | worst
+            if worst <= active_corners or (proposal.start > 1 and (warm or not rises)):
                 return proposal
-            chosen, last = self.search.chosen, proposal.start
+            active_corners, level = self.search.active_corners, proposal.start
         return None
 
     def _first_corners(self) -> set[Key]:
         """Corners here and there."""
-        rest, ends = self._pieces
+        rest, ends = self._system_matrices
         rng = np.random.default_rng(0)
         return {
             (int(i), int(rng.integers(rest.shape[1])), tuple(int(rng.integers(e.shape[2])) for e in ends))
-            for i in np.linspace(0, len(rest) - 1, SETTINGS.added)
+            for i in np.linspace(0, len(rest) - 1, SETTINGS.added_corners)
         }
 
-    def _violated(self, proposal: Proposal, turn: int) -> list[Key]:
+    def _violated(self, proposal: Proposal, seed: int) -> list[Key]:
         """The corners at which V falls too slowly, worst first, some of them.
 
         V_dot along x is a sum over the velocities, so the worst corner for a direction x is known, and
         the worst direction of a corner is an eigenvector: they are taken in turns.
         """
-        P, rest = proposal.P, self._pieces[0]
-        places = np.stack(np.unravel_index(np.arange(rest.shape[0] * rest.shape[1]), rest.shape[:2]), 1)
-        if len(places) > SETTINGS.looked_at:
-            places = np.random.default_rng(turn).permutation(places)[: SETTINGS.looked_at]
-        own = doubled(P, rest[places[:, 0], places[:, 1]] + self.rate * np.eye(self.loop.size))
-        added = self._added(P, proposal.free, *places.T)
-        _, vectors = np.linalg.eigh(own)
+        P, rest = proposal.P, self._system_matrices[0]
+        pairs = np.stack(np.unravel_index(np.arange(rest.shape[0] * rest.shape[1]), rest.shape[:2]), 1)
+        if len(pairs) > SETTINGS.sampled_corners:
+            pairs = np.random.default_rng(seed).permutation(pairs)[: SETTINGS.sampled_corners]
+        at_rest = lyapunov_operator(P, rest[pairs[:, 0], pairs[:, 1]] + self.rate * np.eye(self.loop.size))
+        added = self._velocity_terms(P, proposal.free, *pairs.T)
+        _, vectors = np.linalg.eigh(at_rest)
         limit = 0.5 * self.rate * float(np.linalg.eigvalsh(P)[0])  # half of the decay is the proof's
         found: dict[Key, float] = {}
-        for k in range(1, SETTINGS.starts + 1):
-            worst, values = _worst(own, added, vectors[..., -k])
-            for (i, case), ways, value in zip(places, worst, values, strict=True):
+        for k in range(1, SETTINGS.eigenvectors + 1):
+            worst, values = _worst_vertices(at_rest, added, vectors[..., -k])
+            for (i, case), vertices, value in zip(pairs, worst, values, strict=True):
                 if value > limit:
-                    found[(int(i), int(case), tuple(map(int, ways)))] = float(value)
-        return sorted(found, key=lambda key: -found[key])[: SETTINGS.added]
+                    found[(int(i), int(case), tuple(map(int, vertices)))] = float(value)
+        return sorted(found, key=lambda key: -found[key])[: SETTINGS.added_corners]
 
     @cached_property
-    def _balance(self) -> tuple[Array, Array]:
+    def _balancing(self) -> tuple[Array, Array]:
         """Columns T with T' P_0 T = I, and C with C' (P_0 A + A' P_0) C = -I, of the loop at rest.
 
         Rates of one loop are far apart; in these states the program is well conditioned, and P is near I.
         """
         from scipy.linalg import solve_continuous_lyapunov, sqrtm
 
-        together = np.abs(self.basis).sum(axis=0) > 0
-        A = self._pieces[0].mean(axis=(0, 1)) * together
+        pattern = np.abs(self.basis).sum(axis=0) > 0
+        A = self._system_matrices[0].mean(axis=(0, 1)) * pattern
         unit = np.eye(len(A))
         W = np.real(sqrtm(A.T @ A))
         try:
             P = solve_continuous_lyapunov(A.T, -W)
-            T, C = (np.linalg.inv(np.linalg.cholesky(0.5 * (m + m.T))).T * together for m in (P, W))
+            T, C = (np.linalg.inv(np.linalg.cholesky(0.5 * (m + m.T))).T * pattern for m in (P, W))
             return T, C
         except np.linalg.LinAlgError:
             return unit, unit
 
-    def _solved(self, keys: Sequence[Key]) -> Proposal | None:
-        (T, C), size, n = self._balance, self.loop.size, self.loop.n
-        back = np.linalg.inv(T)
-        B = back.T @ self.basis @ back  # of P; the program's own unknown is Q = T' P T
+    def _solve(self, keys: Sequence[Key]) -> Proposal | None:
+        (T, C), size, n = self._balancing, self.loop.size, self.loop.n
+        T_inverse = np.linalg.inv(T)
+        B = T_inverse.T @ self.basis @ T_inverse  # of P; the program's own unknown is Q = T' P T
         groups, start = self.loop.groups, self.search.start / self.scale[size - 2 * n : size - n]
-        k, g, m = self._unknowns
+        k, g, m = self._unknown_counts
         level = np.zeros(k + g + m)
-        level[k : k + g] = [float(np.sum(start[own][:1] ** 2)) for own in groups]
-        rows = self._rows()
-        forms = self._falls(keys, B, C)
-        forms += [Form(-1e-6 * np.eye(size), self._filled(self.basis))]
-        forms += [self._within(r.states @ T, r.bound) for r in rows]
+        level[k : k + g] = [float(np.sum(start[group][:1] ** 2)) for group in groups]
+        rows = self._state_bounds()
+        inequalities = self._decrease_inequalities(keys, B, C)
+        inequalities += [LMI(-1e-6 * np.eye(size), self._coefficients(self.basis))]
+        inequalities += [self._row_inequality(r.states @ T, r.bound) for r in rows]
         errors = slice(size - 2 * n, size - n)
         slots = np.zeros((g, n, n))
-        for s, own in zip(slots, groups, strict=True):
-            s[own, own] = 1.0
-        forms.append(Form(np.zeros((n, n)), self._filled(-B[:, errors, errors], slots)))
+        for s, group in zip(slots, groups, strict=True):
+            s[group, group] = 1.0
+        inequalities.append(LMI(np.zeros((n, n)), self._coefficients(-B[:, errors, errors], slots)))
         # The start's level, where it can be brought below, stays there: V has room then.
-        forms.append(Form(np.array([[-SETTINGS.low_enough]]), level[:, None, None]))
-        self.search.spend(len(forms))
-        solution = solved(level, forms)
+        inequalities.append(LMI(np.array([[-SETTINGS.lowest_start_level]]), level[:, None, None]))
+        self.search.count_inequalities(len(inequalities))
+        solution = solve_sdp(level, inequalities)
         if solution is None:
             return None
         P = np.tensordot(solution.x[:k], B, 1)
         if np.linalg.eigvalsh(P)[0] <= 0:  # the solver came to its border, and no further
             return None
         free = np.tensordot(solution.x[k + g :], self.identities, 1)
-        slopes = self._slopes(P, free, C, keys, solution.duals)
+        slopes = self._decrease_slopes(P, free, C, keys, solution.duals)
         for row, dual in zip(rows, solution.duals[len(keys) + 1 :], strict=False):
             if row.velocity is not None:
                 states = row.states @ T
-                slopes[row.velocity] += 2 * float(dual[-1, :-1] @ states[touched(B, states)]) / row.bound
+                slopes[row.velocity] += (
+                    2 * float(dual[-1, :-1] @ states[coupled_states(B, states)]) / row.bound
+                )
         sizes = np.array([np.abs(dual).max() for dual in solution.duals[: len(keys)]])
-        active = {key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.idle * sizes.max()}
+        active = {
+            key for key, size in zip(keys, sizes, strict=True) if size > SETTINGS.inactive_dual * sizes.max()
+        }
         return Proposal(P, free, solution.x[k : k + g], float(level @ solution.x), slopes, active)
 
-    def _falls(self, keys: Sequence[Key], B: Array, C: Array) -> list[Form]:
+    def _decrease_inequalities(self, keys: Sequence[Key], B: Array, C: Array) -> list[LMI]:
         """V falls at these corners."""
         found, shift = [], self.rate * np.eye(self.loop.size)
         for key in keys:
-            sample, case, places = key
-            nu = np.array([v[case, p] for v, p in zip(self.values, places, strict=False)])
-            T = C.T @ self._bodies[sample]
+            sample, case, vertices = key
+            nu = np.array([v[case, p] for v, p in zip(self.values, vertices, strict=False)])
+            T = C.T @ self._to_body[sample]
             free = T @ np.tensordot(nu, self.identities, (0, 1)) @ T.T
-            falls = -(C.T @ doubled(B, self._corner(key) + shift) @ C)
-            found.append(Form(np.zeros_like(shift), self._filled(falls, free=-free)))
+            minus_V_dot = -(C.T @ lyapunov_operator(B, self._corner_matrix(key) + shift) @ C)
+            found.append(LMI(np.zeros_like(shift), self._coefficients(minus_V_dot, free=-free)))
         return found
 
-    def _slopes(self, P: Array, free: Array, C: Array, keys: Sequence[Key], duals: Sequence[Array]) -> Array:
+    def _decrease_slopes(
+        self, P: Array, free: Array, C: Array, keys: Sequence[Key], duals: Sequence[Array]
+    ) -> Array:
         """What the fall of V adds to the slopes of the start's level: what a speed adds grows with it."""
         found = np.zeros(self.loop.n)
         samples, cases = np.array([key[:2] for key in keys]).T
-        for i, added in enumerate(self._added(P, free, samples, cases)[: self.loop.n]):
-            moved = _growth(added, i in self.corners.switching)
+        for i, added in enumerate(self._velocity_terms(P, free, samples, cases)[: self.loop.n]):
+            moved = _beyond_rest(added, i in self.corners.switching)
             for row, (key, dual) in enumerate(zip(keys, duals, strict=False)):
                 found[i] += np.sum(dual * (C.T @ moved[row, key[2][i]] @ C))
         return found
 
     @property
-    def _unknowns(self) -> tuple[int, int, int]:
+    def _unknown_counts(self) -> tuple[int, int, int]:
         """How many: of P, levels of the start's groups, and forms that vanish."""
         return len(self.basis), len(self.loop.groups), len(self.identities)
 
-    def _filled(self, of_P: Array, levels: Array | None = None, free: Array | None = None) -> Array:
+    def _coefficients(self, of_P: Array, levels: Array | None = None, free: Array | None = None) -> Array:
         """What each unknown adds to a form; nothing unless it is given."""
-        _, g, m = self._unknowns
+        _, g, m = self._unknown_counts
         none = [np.zeros((count, *of_P.shape[1:])) for count in (g, m)]
         return np.concatenate(
             [of_P, none[0] if levels is None else levels, none[1] if free is None else free]
         )
 
-    def _within(self, row: Array, bound: float) -> Form:
+    def _row_inequality(self, row: Array, bound: float) -> LMI:
         """[P, row; row', bound^2] >= 0 on the states that belong to the row: |row z| < bound on V < 1."""
         B = self.basis
-        own = touched(B, row)
-        m = len(own)
-        forms = np.zeros((len(B), m + 1, m + 1))
-        forms[:, :m, :m] = B[:, own[:, None], own]
+        states = coupled_states(B, row)
+        m = len(states)
+        coefficients = np.zeros((len(B), m + 1, m + 1))
+        coefficients[:, :m, :m] = B[:, states[:, None], states]
         constant = np.zeros((m + 1, m + 1))
         # Divided by the bound, so that numbers are near one.
-        constant[:m, m] = constant[m, :m] = row[own] / bound
+        constant[:m, m] = constant[m, :m] = row[states] / bound
         constant[m, m] = (1 - SETTINGS.slack) ** 2
-        return Form(constant, self._filled(forms))
+        return LMI(constant, self._coefficients(coefficients))
 
-    def _rows(self) -> list[Row]:
+    def _state_bounds(self) -> list[StateBound]:
         """What has to stay within its bound: speeds, tilts, half a turn, commands."""
-        found = [Row(row, bound) for row, bound in self.fixed_rows()]
+        found = [StateBound(row, bound) for row, bound in self.fixed_rows()]
         for speeds in self.speed_rows:
             found += [
-                Row(row, bound, i)
+                StateBound(row, bound, i)
                 for i, (row, bound) in enumerate(zip(speeds, self.bounds.speeds, strict=True))
             ]
         for commands in self.command_rows:
-            found += [Row(row, left) for row, left in zip(commands, self.left, strict=True)]
-        kept: dict[bytes, Row] = {}
+            found += [
+                StateBound(row, remaining_thrust)
+                for row, remaining_thrust in zip(commands, self.remaining_thrust, strict=True)
+            ]
+        distinct: dict[bytes, StateBound] = {}
         for row in found:
-            kept.setdefault(np.round(self._upright(row.states) / row.bound, 9).tobytes(), row)
-        return [r for r in kept.values() if np.any(r.states != 0)]
+            distinct.setdefault(np.round(self._canonical_row(row.states) / row.bound, 9).tobytes(), row)
+        return [r for r in distinct.values() if np.any(r.states != 0)]
 
-    def _upright(self, row: Array) -> Array:
+    def _canonical_row(self, row: Array) -> Array:
         """The row with its first number positive, and that of each axis where this leaves V as it is."""
-        columns = row.reshape(-1, self.loop.n) if self._apart else row[:, None]
+        columns = row.reshape(-1, self.loop.n) if self._block_diagonal else row[:, None]
         first = np.argmax(columns != 0, axis=0)
         signs = np.where(columns[first, np.arange(len(first))] < 0, -1.0, 1.0)
         return np.asarray((columns * signs).ravel() + 0.0)  # no zero with a sign
@@ -438,9 +457,9 @@ class Program:
         return self.search.commands
 
     @cached_property
-    def left(self) -> Array:
+    def remaining_thrust(self) -> Array:
         """What the limits leave beside the weight, within the tilts."""
-        return thrust_left(self.search.problem, self.commands, self.bounds.tilts)
+        return remaining_thrust(self.search.problem, self.commands, self.bounds.tilts)
 
     def fixed_rows(self) -> Iterator[tuple[Array, float]]:
         """Tilts and half a turn."""
@@ -459,30 +478,30 @@ class Program:
     def reach(self, proposal: Proposal) -> Array:
         """Largest error of each coordinate on V < 1."""
         n, size = self.loop.n, self.loop.size
-        each = self._largest(proposal.P, np.diag(self.scale)[size - 2 * n : size - n])
+        errors = self._largest(proposal.P, np.diag(self.scale)[size - 2 * n : size - n])
         for group in self.loop.groups:
-            each[group] = each[group].max()
-        return each
+            errors[group] = errors[group].max()
+        return errors
 
     def speeds(self, proposal: Proposal) -> Array:
         """Largest body velocities on V < 1, over the samples."""
         return np.asarray(self._largest(proposal.P, self.speed_rows).max(axis=0))
 
-    def moves(self, proposal: Proposal) -> Array:
+    def command_changes(self, proposal: Proposal) -> Array:
         """Largest of what each limited command adds to that at rest on V < 1, over the samples."""
         return np.asarray(self._largest(proposal.P, self.command_rows).max(axis=0, initial=0.0))
 
-    def asked(self, found: Proposal, room: float) -> Bounds:
+    def required_box(self, found: Proposal, room: float) -> SpeedBox:
         """The box that the start needs, with some room."""
         size = np.sqrt(found.start * (1 + room)) * (1 + room)
         reach = dict(zip(self.search.problem.coordinates, size * self.reach(found), strict=True))
-        return Bounds(size * self.speeds(found), {a: float(reach[a]) for a in self.bounds.tilts})
+        return SpeedBox(size * self.speeds(found), {a: float(reach[a]) for a in self.bounds.tilts})
 
     def narrowed(self, found: Proposal) -> tuple[Program, Proposal]:
         """The same V, of whose level set only as much is claimed as the start needs, on the box of that."""
-        box = self.asked(found, SETTINGS.slack)
+        box = self.required_box(found, SETTINGS.slack)
         tilts = {a: min(t, box.tilts[a]) for a, t in self.bounds.tilts.items()}
-        other = Program(self.search, Bounds(np.minimum(box.speeds, self.bounds.speeds), tilts))
+        other = Program(self.search, SpeedBox(np.minimum(box.speeds, self.bounds.speeds), tilts))
         return other, self._scaled_to(other, found)
 
     def _scaled_to(self, other: Program, proposal: Proposal) -> Proposal:
@@ -497,18 +516,18 @@ class Program:
         return proposal._replace(P=P, free=free, levels=levels, start=start)
 
 
-def _worst(own: Array, added: Sequence[Array], x: Array) -> tuple[Array, Array]:
+def _worst_vertices(at_rest: Array, added: Sequence[Array], x: Array) -> tuple[Array, Array]:
     """The worst end of each velocity by row, from a direction on, and the largest eigenvalue with them."""
-    rows, unit = np.arange(len(own)), np.eye(own.shape[-1])
-    for _ in range(SETTINGS.steps):
-        worst = [np.argmax(along(unit, e, x), axis=-1) for e in added]
-        whole = own + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
-        values, turned = np.linalg.eigh(whole)
-        x = turned[..., -1]
+    rows, unit = np.arange(len(at_rest)), np.eye(at_rest.shape[-1])
+    for _ in range(SETTINGS.alternations):
+        worst = [np.argmax(quadratic_values(unit, e, x), axis=-1) for e in added]
+        total = at_rest + sum(e[rows, w] for e, w in zip(added, worst, strict=True))
+        values, vectors = np.linalg.eigh(total)
+        x = vectors[..., -1]
     return np.array(worst).T, values[:, -1]
 
 
-def _growth(added: Array, switched: bool) -> Array:
+def _beyond_rest(added: Array, switched: bool) -> Array:
     """What each end adds beyond rest, which grows with the speed, shape (rows, ends, size, size)."""
     last = added.shape[1] - 1
     if switched:
@@ -521,7 +540,7 @@ def _growth(added: Array, switched: bool) -> Array:
 # --- forms that vanish ------------------------------------------------------------------------------
 Axes = tuple[int, ...]
 _NOTHING = 1e-100  # what outward rounding makes of zero is below it
-Way = tuple[int, int, int]
+Monomial = tuple[int, int, int]
 """A velocity, and the places in z of the two states that it multiplies."""
 
 
@@ -534,20 +553,24 @@ def identities(corners: Corners, n: int, size: int) -> Array:
     the condition that V falls (annihilators: Trofino and Dezuo 2014, LMI stability conditions for uncertain
     rational nonlinear systems, Int. J. Robust Nonlinear Control 24).
     """
-    found = [_form(*pair, n, size) for axes in _coupled(corners) for pair in _pairs(axes, n, size)]
+    found = [
+        _identity_form(*pair, n, size)
+        for axes in _coupled_axes(corners)
+        for pair in _equal_monomials(axes, n, size)
+    ]
     return np.array(found).reshape(-1, n, size, size)
 
 
-def _coupled(corners: Corners) -> list[Axes]:
+def _coupled_axes(corners: Corners) -> list[Axes]:
     """Three axes, two of which may be one, that meet in a product: the velocity, the row and the column."""
     found = set()
     for k, end in enumerate(corners.ends):
-        size = end.moving.size.max(axis=0) + end.turning.size.max(axis=0)
+        size = end.velocity.magnitude.max(axis=0) + end.skew.magnitude.max(axis=0)
         found |= {tuple(sorted((k, int(i), int(j)))) for i, j in np.argwhere(size > _NOTHING)}
     return sorted(axes for axes in found if len(set(axes)) > 1)
 
 
-def _pairs(axes: Axes, n: int, size: int) -> Iterator[tuple[Way, Way]]:
+def _equal_monomials(axes: Axes, n: int, size: int) -> Iterator[tuple[Monomial, Monomial]]:
     """Two ways of reading one product: of three velocities, or of two and a state of the third axis."""
     last = size - n
     for i in sorted(set(axes)):
@@ -556,7 +579,7 @@ def _pairs(axes: Axes, n: int, size: int) -> Iterator[tuple[Way, Way]]:
             yield from (((one, p + i, last + other), (other, p + i, last + one)) for p in range(0, last, n))
     first, *others = sorted(set(axes))
     for k in others:
-        yield _read(axes, first, last), _read(axes, k, last)
+        yield _monomial(axes, first, last), _monomial(axes, k, last)
 
 
 def _without(axes: Axes, one: int) -> Axes:
@@ -564,12 +587,12 @@ def _without(axes: Axes, one: int) -> Axes:
     return axes[:place] + axes[place + 1 :]
 
 
-def _read(axes: Axes, k: int, last: int) -> Way:
+def _monomial(axes: Axes, k: int, last: int) -> Monomial:
     i, j = _without(axes, k)
     return k, last + i, last + j
 
 
-def _form(one: Way, other: Way, n: int, size: int) -> Array:
+def _identity_form(one: Monomial, other: Monomial, n: int, size: int) -> Array:
     found = np.zeros((n, size, size))
     for (k, i, j), sign in ((one, 1.0), (other, -1.0)):
         found[k, i, j] += sign

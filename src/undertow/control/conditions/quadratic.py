@@ -12,14 +12,14 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .attitude import Interval, count_of, enclose, within
+from .attitude import Interval, count_of, enclose, plus_minus
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .definite import Work, bounded, sums_positive
-from .embedding import Boxes, Embedding, certainly_positive, corners_of, halved
+from .definite import MatrixBudget, bounded_on_level_set, sums_positive
+from .embedding import Boxes, Embedding, corners_of, halved, proved_positive_definite
 from .problem import Problem
-from .program import SETTINGS, Bounds, Key, Program, Proposal, thrust_left
-from .result import Quadratic, together
+from .program import SETTINGS, Key, Program, Proposal, SpeedBox, remaining_thrust
+from .result import Quadratic, merge_headings
 
 _TOO_LONG = "no quadratic V was found within the time that the search may take"
 
@@ -27,7 +27,7 @@ _TOO_LONG = "no quadratic V was found within the time that the search may take"
 class _Step(NamedTuple):
     """What the program of one box of speeds came to."""
 
-    bounds: Bounds
+    bounds: SpeedBox
     program: Program
     found: Proposal | None
 
@@ -37,7 +37,7 @@ class _Step(NamedTuple):
         return np.inf if self.found is None else self.found.start
 
 
-class _Slopes:
+class _LevelModel:
     """Tangents of the logarithm of the start's level over the logarithms of speeds.
 
     Their maximum stands in for the level, which has kinks where other corners become the worst (Kelley 1960,
@@ -60,13 +60,13 @@ class _Slopes:
         the best speeds count.
         """
         for steps in (self._steps, [pair for pair in self._steps if pair[0] is best]):
-            change, level = _lowest(np.array([row for _, row in steps]), best, radius)
-            if level <= np.log(best.start) - SETTINGS.least_fall:
+            change, level = _model_minimum(np.array([row for _, row in steps]), best, radius)
+            if level <= np.log(best.start) - SETTINGS.least_decrease:
                 return change
         return None
 
 
-def _lowest(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
+def _model_minimum(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
     from scipy.optimize import linprog
 
     place, n = np.log(best.bounds.speeds), len(best.bounds.speeds)
@@ -76,23 +76,23 @@ def _lowest(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
     return (np.asarray(found.x[:n]), float(found.x[n])) if found.success else (np.zeros(n), np.inf)
 
 
-class Search:
+class QuadraticSearch:
     """The search for a proved V whose level set holds all errors up to `start` at rest, integrals zero.
 
     Products of velocities are read in one way, which is quicker, or in every way. An error says that the
     model has no form that the method covers, or that the solver is not installed.
     """
 
-    def __init__(self, problem: Problem, start: Mapping[str, float], every_reading: bool = True) -> None:
-        self.problem, self.loop, self.every_reading = problem, Embedding(problem), every_reading
+    def __init__(self, problem: Problem, start: Mapping[str, float], all_identities: bool = True) -> None:
+        self.problem, self.loop, self.all_identities = problem, Embedding(problem), all_identities
         self.commands = Commands(problem)
-        self.forms = 0  # what the solver was given so far
-        self.work = Work(0)  # what is left for proofs
-        self.chosen: set[Key] = set()  # corners that the programs so far were about
-        self.centre = 0.0  # heading in the middle of those of the set-point, rad
-        self.start = self._mixed(np.array([start.get(c, 0.0) for c in problem.coordinates]))
+        self.inequalities = 0  # what the solver was given so far
+        self.budget = MatrixBudget(0)  # what is left for proofs
+        self.active_corners: set[Key] = set()  # corners that the programs so far were about
+        self.heading_centre = 0.0  # heading in the middle of those of the set-point, rad
+        self.start = self._in_mixed_frame(np.array([start.get(c, 0.0) for c in problem.coordinates]))
 
-    def _mixed(self, start: Array) -> Array:
+    def _in_mixed_frame(self, start: Array) -> Array:
         """The box with the radius of its corners in coordinates that the frame mixes."""
         found = start.copy()
         for group in self.loop.groups:
@@ -102,28 +102,28 @@ class Search:
     @property
     def _start_tilts(self) -> dict[str, float]:
         """What is bounded of the start: roll, pitch, and the heading where A depends on it."""
-        starts = self._tilted(self.filled(self.start))
-        return {a: self._tilt(a, e) for a, e in starts.items()}
+        starts = self._angles(self.with_floor(self.start))
+        return {a: self._clipped_tilt(a, e) for a, e in starts.items()}
 
     # --- boxes of speeds --------------------------------------------------------------------------
-    def found(self) -> Quadratic | None:
+    def run(self) -> Quadratic | None:
         """The first V that is proved and holds the start, for every range of headings of the set-point."""
         self._require_thrust()
-        bounds, proofs = self._first(), []
-        for centre in self.centres:
-            self.centre, self.forms = centre, 0
-            share = SETTINGS.share(self.loop.size, SETTINGS.work_power)
+        bounds, proofs = self._first_box(), []
+        for heading_centre in self.centres:
+            self.heading_centre, self.inequalities = heading_centre, 0
+            share = SETTINGS.share(self.loop.size, SETTINGS.matrices_power)
             # Each uncertain parameter is one more sum in every matrix, as each velocity is, and one more that
             # is cut in two where all of them together are too large: in vain, if that takes long.
-            sums = 1 + len(self.problem.spread) / self.loop.n
-            self.work = Work(int(SETTINGS.most * share / sums**2))
-            self.chosen.clear()
-            proof = self._in_sector(bounds)
+            sums = 1 + len(self.problem.parameter_box) / self.loop.n
+            self.budget = MatrixBudget(int(SETTINGS.max_matrices * share / sums**2))
+            self.active_corners.clear()
+            proof = self._search_sector(bounds)
             if proof is None:
                 return None
-            bounds, one = proof
-            proofs.append(one)
-        return together(proofs, self.loop.half_turn)
+            bounds, quadratic = proof
+            proofs.append(quadratic)
+        return merge_headings(proofs, self.loop.half_turn)
 
     @property
     def centres(self) -> Array:
@@ -132,24 +132,24 @@ class Search:
             return np.zeros(1)
         return (np.arange(SETTINGS.sectors) + 0.5) * np.pi / SETTINGS.sectors
 
-    def _in_sector(self, bounds: Bounds) -> tuple[Bounds, Quadratic] | None:
+    def _search_sector(self, bounds: SpeedBox) -> tuple[SpeedBox, Quadratic] | None:
         """V is searched for on smaller speeds until there is one, then on those that its start asks for."""
         best: _Step | None = None
         least = SETTINGS.least_speed * bounds.speeds
-        slopes, radius = _Slopes(), SETTINGS.first_step
-        for _ in range(SETTINGS.tries):
+        slopes, radius = _LevelModel(), SETTINGS.first_step
+        for _ in range(SETTINGS.max_speed_boxes):
             program = Program(self, bounds)
             if program.rate <= 0:
                 raise UndertowError("the loop at rest is not stable at every attitude")
             step = _Step(bounds, program, program.solve(np.inf if best is None else best.start))
             if step.found is not None and step.start < 1:
-                proof = proved(program, step.found, self.work)
+                proof = prove(program, step.found, self.budget)
                 if proof is not None:
                     return bounds, proof
-                if self.work.left <= 0:
+                if self.budget.remaining <= 0:
                     raise UndertowError(_TOO_LONG)
             if best is None and not 1 <= step.start < np.inf:
-                bounds = self._smaller(bounds)
+                bounds = self._shrunk(bounds)
                 if (bounds.speeds < least).all():
                     return None
                 continue
@@ -157,49 +157,53 @@ class Search:
             radius *= 1.0 if best is None else 1.5 if better else 0.5
             slopes.add(step)
             best = step if best is None or better else best
-            radius = min(radius, np.log(SETTINGS.most_more))
+            radius = min(radius, np.log(SETTINGS.max_growth))
             change = None if radius < SETTINGS.least_step else slopes.step(best, radius)
             if change is None:
                 return None
-            bounds = self._moved(best, change, radius)
+            bounds = self._stepped(best, change, radius)
         return None
 
-    def spend(self, forms: int) -> None:
+    def count_inequalities(self, inequalities: int) -> None:
         """Count what the solver is given."""
-        self.forms += forms
-        if self.forms > SETTINGS.most_forms * SETTINGS.share(self.loop.size, SETTINGS.form_power):
+        self.inequalities += inequalities
+        if self.inequalities > SETTINGS.max_inequalities * SETTINGS.share(
+            self.loop.size, SETTINGS.inequalities_power
+        ):
             raise UndertowError(_TOO_LONG)
 
-    def _smaller(self, bounds: Bounds) -> Bounds:
-        least = self._tilted(self.filled(self.start) * (1 + SETTINGS.slack))
-        tilts = {a: max(SETTINGS.smaller * t, self._tilt(a, least[a])) for a, t in bounds.tilts.items()}
-        return Bounds(SETTINGS.smaller * bounds.speeds, tilts)
+    def _shrunk(self, bounds: SpeedBox) -> SpeedBox:
+        least = self._angles(self.with_floor(self.start) * (1 + SETTINGS.slack))
+        tilts = {
+            a: max(SETTINGS.shrink * t, self._clipped_tilt(a, least[a])) for a, t in bounds.tilts.items()
+        }
+        return SpeedBox(SETTINGS.shrink * bounds.speeds, tilts)
 
-    def _moved(self, best: _Step, change: Array, radius: float) -> Bounds:
+    def _stepped(self, best: _Step, change: Array, radius: float) -> SpeedBox:
         """Speeds changed by these logarithms, and tilts that the start asks for, at most by the radius."""
         assert best.found is not None
-        bounds, asked = best.bounds, best.program.asked(best.found, SETTINGS.more - 1).tilts
+        bounds, asked = best.bounds, best.program.required_box(best.found, SETTINGS.growth - 1).tilts
         most = {a: v * float(np.exp(radius)) for a, v in bounds.tilts.items()}
-        tilts = {a: self._tilt(a, min(v, most[a])) for a, v in asked.items()}
-        return Bounds(bounds.speeds * np.exp(change), self._held(tilts))
+        tilts = {a: self._clipped_tilt(a, min(v, most[a])) for a, v in asked.items()}
+        return SpeedBox(bounds.speeds * np.exp(change), self._holdable_tilts(tilts))
 
-    def _held(self, tilts: dict[str, float]) -> dict[str, float]:
+    def _holdable_tilts(self, tilts: dict[str, float]) -> dict[str, float]:
         """Roll and pitch at which thrusters hold the weight with something left, or those of the start."""
         least = {a: e for a, e in self._start_tilts.items() if a != "psi"}
         while any(tilts[a] > e for a, e in least.items()):
             with suppress(UndertowError):
-                thrust_left(self.problem, self.commands, tilts)
+                remaining_thrust(self.problem, self.commands, tilts)
                 return tilts
-            tilts = tilts | {a: max(SETTINGS.smaller * tilts[a], e) for a, e in least.items()}
+            tilts = tilts | {a: max(SETTINGS.shrink * tilts[a], e) for a, e in least.items()}
         return tilts
 
     def _require_thrust(self) -> None:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
-        thrust_left(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
+        remaining_thrust(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
         level = {a: enclose(np.zeros(1)) for a in self.loop.angles}
-        springs = np.abs(self.commands.share) @ (self.problem.values["K_P"] * self.start)
+        springs = np.abs(self.commands.force_to_commands) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
         own = rows[:, self.loop.size - 2 * self.loop.n : self.loop.size - self.loop.n]
         asked = np.minimum(np.max(np.abs(own) * self.start, axis=1), springs) + self.commands.steady()
@@ -210,30 +214,30 @@ class Search:
                 f"{self.commands.limits[worst]:.4g}: state smaller errors or lower K_P"
             )
 
-    def _first(self) -> Bounds:
+    def _first_box(self) -> SpeedBox:
         K_P, K_V = (self.problem.values[g] for g in ("K_P", "K_V"))
-        M = np.min([np.diag(one.inertia) for one in self.problem.sets], axis=0)
-        D = np.min([np.diag(one.damping) for one in self.problem.sets], axis=0)
+        M = np.min([np.diag(quadratic.inertia) for quadratic in self.problem.sets], axis=0)
+        D = np.min([np.diag(quadratic.damping) for quadratic in self.problem.sets], axis=0)
         rate = np.minimum(np.sqrt(K_P / M), K_P / np.maximum(K_V + D, 1e-12))
-        speeds = SETTINGS.first_speed * self.filled(rate * self.start)
+        speeds = SETTINGS.first_speed * self.with_floor(rate * self.start)
         for group in self.loop.groups:
             speeds[group] = speeds[group].max()
-        angles = self._tilted(self.filled(self.start))
-        tilts = {a: self._tilt(a, SETTINGS.tilt * e) for a, e in angles.items()}
-        return Bounds(speeds, self._held(tilts))
+        angles = self._angles(self.with_floor(self.start))
+        tilts = {a: self._clipped_tilt(a, SETTINGS.tilt_factor * e) for a, e in angles.items()}
+        return SpeedBox(speeds, self._holdable_tilts(tilts))
 
-    def _tilted(self, values: Array) -> dict[str, float]:
+    def _angles(self, values: Array) -> dict[str, float]:
         pairs = zip(self.problem.coordinates, values, strict=True)
-        bounded = {"phi", "theta"} | ({"psi"} & set(self.loop.angles))
-        return {c: float(v) for c, v in pairs if c in bounded}
+        bounded_on_level_set = {"phi", "theta"} | ({"psi"} & set(self.loop.angles))
+        return {c: float(v) for c, v in pairs if c in bounded_on_level_set}
 
-    def _tilt(self, name: str, angle: float) -> float:
+    def _clipped_tilt(self, name: str, angle: float) -> float:
         return min(angle, np.pi / 2 if name == "psi" else self.problem.attitudes.tilt)
 
-    def filled(self, values: Array) -> Array:
+    def with_floor(self, values: Array) -> Array:
         """At least a share of the largest among translations, and among rotations."""
         found = values.copy()
-        for kind in (self.loop.shifts, self.loop.turns):
+        for kind in (self.loop.translations, self.loop.rotations):
             if kind:
                 found[kind] = np.maximum(found[kind], SETTINGS.least_share * found[kind].max())
         if not found.any():
@@ -242,18 +246,18 @@ class Search:
 
 
 # --- the proof --------------------------------------------------------------------------------------
-def proved(program: Program, found: Proposal, work: Work) -> Quadratic | None:
+def prove(program: Program, found: Proposal, budget: MatrixBudget) -> Quadratic | None:
     """V with everything that was asked of it proved in interval arithmetic, or None.
 
     What the start needs of the level set is proved first, with the work that is left for it. Where that
     succeeds, the whole of it is tried, with not much more.
     """
-    narrow = Proof(*program.narrowed(found), work.left)
+    narrow = Proof(*program.narrowed(found), budget.remaining)
     needed = narrow.result()
     if needed is None:
-        work.left -= narrow.used
+        budget.remaining -= narrow.matrices_used
         return None
-    return Proof(program, found, SETTINGS.whole * narrow.used).result() or needed
+    return Proof(program, found, SETTINGS.full_proof_factor * narrow.matrices_used).result() or needed
 
 
 class Proof:
@@ -263,28 +267,30 @@ class Proof:
         self.program, self.loop, self.proposal = program, program.loop, proposal
         self.P = 0.5 * (proposal.P + proposal.P.T)
         # Forms that vanish exactly are within this.
-        around = PROOFS.sum * np.abs(proposal.free)
+        around = PROOFS.sum_rounding * np.abs(proposal.free)
         self.free = Interval(proposal.free - around, proposal.free + around)
         self.scale, self.corners = program.scale, program.corners
-        self._most, self._work = most, Work(most)
+        self._max_matrices, self._budget = most, MatrixBudget(most)
 
     @property
-    def used(self) -> int:
+    def matrices_used(self) -> int:
         """How many matrices the last part of the proof looked at, or would have."""
-        return self._most - self._work.left
+        return self._max_matrices - self._budget.remaining
 
     def result(self) -> Quadratic | None:
         """The V, or None where something of it is not proved."""
-        if not (certainly_positive(enclose(self.P[None])) and self._fixed_proved()):
+        if not (proved_positive_definite(enclose(self.P[None])) and self._fixed_rows_proved()):
             return None
         weights, start = self._start_weights()
-        if not start < 1 or not (self._halving(self._within_bounds) and self._halving(self._falls)):
+        if not start < 1 or not (
+            self._holds_by_halving(self._within_bounds) and self._holds_by_halving(self._decreases)
+        ):
             return None
-        return self._stated(weights, start)
+        return self._as_quadratic(weights, start)
 
-    def _fixed_proved(self) -> bool:
+    def _fixed_rows_proved(self) -> bool:
         return all(
-            bounded(self.P, enclose(row[None, None]), np.array([b])).all()
+            bounded_on_level_set(self.P, enclose(row[None, None]), np.array([b])).all()
             for row, b in self.program.fixed_rows()
         )
 
@@ -295,7 +301,7 @@ class Proof:
         own, first = self.P[errors, errors], [group[0] for group in self.loop.groups]
         squares = (self.program.search.start / self.scale[errors])[first] ** 2
         found = [(weights, float(weights[first] @ squares * (1 + 1e-9))) for weights in self._weights(own)]
-        held = [(w, t) for w, t in found if certainly_positive(enclose((np.diag(w) - own)[None]))]
+        held = [(w, t) for w, t in found if proved_positive_definite(enclose((np.diag(w) - own)[None]))]
         return min(held, key=lambda pair: pair[1], default=(np.zeros(n), np.inf))
 
     def _weights(self, own: Array) -> Iterator[Array]:
@@ -308,36 +314,38 @@ class Proof:
             root = np.sqrt(stated)
             yield stated * np.linalg.eigvalsh(own / np.outer(root, root))[-1] * (1 + PROOFS.level)
 
-    def _halving(self, holds: Callable[[Boxes], Flags]) -> bool:
+    def _holds_by_halving(self, holds: Callable[[Boxes], Flags]) -> bool:
         boxes = self.loop.boxes(self.program.ranges)
-        self._work = Work(self._most)
+        self._budget = MatrixBudget(self._max_matrices)
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
-            open_ = ~holds(boxes)
-            if not open_.any():
+            unproved = ~holds(boxes)
+            if not unproved.any():
                 return True
-            if not boxes or self._work.left < 0:
+            if not boxes or self._budget.remaining < 0:
                 return False
-            boxes = halved({a: v[open_] for a, v in boxes.items()})
-            if open_.all():
+            boxes = halved({a: v[unproved] for a, v in boxes.items()})
+            if unproved.all():
                 boxes = halved(boxes)
         return False
 
     def _within_bounds(self, boxes: Boxes) -> Flags:
         """Speeds and commands, at every attitude in each box."""
-        self._work.left -= count_of(boxes)
-        held = bounded(self.P, self._by(self.loop.speeds_of(boxes)), self.program.bounds.speeds)
-        if len(self._moves):
+        self._budget.remaining -= count_of(boxes)
+        held = bounded_on_level_set(
+            self.P, self._scaled(self.loop.speeds_of(boxes)), self.program.bounds.speeds
+        )
+        if len(self._command_changes):
             commands = self.loop.commands_of(self.program.commands, boxes)
-            held &= bounded(self.P, self._by(commands), self._moves)
+            held &= bounded_on_level_set(self.P, self._scaled(commands), self._command_changes)
         return held
 
     @cached_property
-    def _moves(self) -> Array:
+    def _command_changes(self) -> Array:
         """What is claimed of each command beside that at rest."""
-        moves = self.program.moves(self.proposal) * (1 + SETTINGS.stated)
-        return np.asarray(np.minimum(moves, self.program.left))
+        command_changes = self.program.command_changes(self.proposal) * (1 + SETTINGS.command_slack)
+        return np.asarray(np.minimum(command_changes, self.program.remaining_thrust))
 
-    def _falls(self, boxes: Boxes) -> Flags:
+    def _decreases(self, boxes: Boxes) -> Flags:
         """Whether V falls at every corner of velocities at every attitude in each box.
 
         A(angles) differs from what its values at the corners of the box interpolate by h^2/8 times the second
@@ -347,56 +355,56 @@ class Proof:
         parts = np.array_split(np.arange(count_of(boxes)), min(count_of(boxes), batches))
         some = [{a: v[p] for a, v in boxes.items()} for p in parts]
         return np.concatenate(
-            [self._falls_in(each) if self._work.left >= 0 else _none(each) for each in some]
+            [self._decreases_in(each) if self._budget.remaining >= 0 else _all_false(each) for each in some]
         )
 
-    def _falls_in(self, boxes: Boxes) -> Flags:
+    def _decreases_in(self, boxes: Boxes) -> Flags:
         at, place = corners_of(boxes)
-        falls = -_doubled(self.P @ self.program.scaled(self.loop.rest(self.corners, at)))
+        falls = -_plus_transpose(self.P @ self.program.scaled(self.loop.rest(self.corners, at)))
         size = self.loop.size
-        rows = (falls[place] + self._missed(boxes)).reshape(-1, size, size)
+        rows = (falls[place] + self._interpolation_error(boxes)).reshape(-1, size, size)
         # Attitudes and cases in one row.
-        ends = [e.reshape(-1, *e.lo.shape[2:]) for e in self._ends(at)]
+        ends = [e.reshape(-1, *e.lo.shape[2:]) for e in self._velocity_terms(at)]
         own = place[..., None] * self.corners.cases + np.arange(self.corners.cases)
         box = np.broadcast_to(np.arange(count_of(boxes))[:, None], own.shape).ravel()
         # Ends are the same at all attitudes, or not.
-        return sums_positive(rows, own.ravel() % len(ends[0]), ends, box, self._work)
+        return sums_positive(rows, own.ravel() % len(ends[0]), ends, box, self._budget)
 
-    def _missed(self, boxes: Boxes) -> Interval:
+    def _interpolation_error(self, boxes: Boxes) -> Interval:
         """What interpolating between the corners of boxes misses, shape (boxes, 1, size, size)."""
         own = np.zeros((count_of(boxes), self.loop.size, self.loop.size))
         free = own.copy()
         for angle, side in boxes.items():
             share = 1.001 * (side.hi - side.lo)[:, None, None] ** 2 / 8
-            own += share * self.loop.bend(self.corners, boxes, angle) * self.scale / self.scale[:, None]
-            turn = self.loop.body_jet(boxes, angle) * self._turn_ratio
-            for N, value in zip(self._free_of, self.program.values, strict=True):
-                free += share * np.abs(value).max() * (turn @ N @ turn.T).bend.size[:, 0]
-        return (_doubled(self.P @ within(own)) + within(free))[:, None]
+            own += share * self.loop.curvature(self.corners, boxes, angle) * self.scale / self.scale[:, None]
+            turn = self.loop.body_jet(boxes, angle) * self._scale_ratio
+            for N, value in zip(self._identity_forms, self.program.values, strict=True):
+                free += share * np.abs(value).max() * (turn @ N @ turn.T).curvature.magnitude[:, 0]
+        return (_plus_transpose(self.P @ plus_minus(own)) + plus_minus(free))[:, None]
 
-    def _ends(self, at: Boxes) -> Iterator[Interval]:
+    def _velocity_terms(self, at: Boxes) -> Iterator[Interval]:
         """What each velocity and parameter adds to the fall of V, (attitudes, cases, ends, size, size)."""
-        turn = self.loop.body(at) * self._turn_ratio
+        turn = self.loop.body(at) * self._scale_ratio
         added = self.loop.added(self.corners, at)
-        for end, N, value in zip(added, self._free_of, self.program.values, strict=False):
+        for end, N, value in zip(added, self._identity_forms, self.program.values, strict=False):
             turned = turn @ N @ turn.T
             every = turned[:, :, None] * value[..., None, None]
-            yield -(_doubled(self.P @ self.program.scaled(end)) + every)
-        yield from (-_doubled(self.P @ self.program.scaled(end)) for end in added[self.loop.n :])
+            yield -(_plus_transpose(self.P @ self.program.scaled(end)) + every)
+        yield from (-_plus_transpose(self.P @ self.program.scaled(end)) for end in added[self.loop.n :])
 
     @property
-    def _free_of(self) -> list[Interval]:
+    def _identity_forms(self) -> list[Interval]:
         """The forms that vanish, by velocity."""
         return [self.free[i] for i in range(len(self.free))]
 
     @property
-    def _turn_ratio(self) -> Array:
+    def _scale_ratio(self) -> Array:
         return np.asarray(self.scale[:, None] / self.scale)
 
-    def _by(self, rows: Interval) -> Interval:
+    def _scaled(self, rows: Interval) -> Interval:
         return Interval(rows.lo * self.scale, rows.hi * self.scale)
 
-    def _stated(self, weights: Array, start: float) -> Quadratic:
+    def _as_quadratic(self, weights: Array, start: float) -> Quadratic:
         """The proof's result in the units of the states."""
         program, n, size = self.program, self.loop.n, self.loop.size
         inverse = 1 / self.scale
@@ -407,14 +415,14 @@ class Proof:
             errors=program.reach(self.proposal),
             speeds=program.bounds.speeds,
             starts=1 / np.sqrt(own),
-            commands=program.commands.limits - program.left + self._moves,
+            commands=program.commands.limits - program.remaining_thrust + self._command_changes,
             start=start,
         )
 
 
-def _none(boxes: Boxes) -> Flags:
+def _all_false(boxes: Boxes) -> Flags:
     return np.zeros(count_of(boxes), dtype=bool)
 
 
-def _doubled(held: Interval) -> Interval:
+def _plus_transpose(held: Interval) -> Interval:
     return held + held.T

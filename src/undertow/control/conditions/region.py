@@ -15,17 +15,10 @@ from undertow.typing import Array
 
 from .attitude import ANGLES
 from .by_law import DERIVED_PD_DAMPER
-from .commands import (
-    Commands,
-    SlidingCommands,
-    dampings,
-    fast_damping,
-    inertias,
-    pd_commands,
-)
+from .commands import Commands, SlidingCommands, damping_loss, dampings, inertias, pd_commands
 from .problem import Problem, Span
 from .program import SETTINGS as PROGRAM
-from .quadratic import Search
+from .quadratic import QuadraticSearch
 from .result import SETTINGS, Quadratic, Region, Transient
 from .transient import bounds_in_time
 
@@ -56,19 +49,19 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
     try:
         found = _region(problem, holds, start)
     except UndertowError as error:
-        found = _none(str(error))
+        found = _no_region(str(error))
     except np.linalg.LinAlgError:
-        found = _none("V is not positive at every attitude by more than rounding")
+        found = _no_region("V is not positive at every attitude by more than rounding")
     found = replace(found, parameters=_intervals(problem))
     if start is None:
         return found
-    return replace(found, start=dict(start), contains_start=_holds(problem, found, start))
+    return replace(found, start=dict(start), contains_start=_contains(problem, found, start))
 
 
 def _intervals(problem: Problem) -> dict[str, Span]:
     """The parameters that are uncertain, in the signs of the vehicle file."""
     vehicle, found = problem.plant.vehicle, {}
-    for name, ends in ((str(s), ends) for s, ends in problem.spread.items()):
+    for name, ends in ((str(s), ends) for s, ends in problem.parameter_box.items()):
         low, high = sorted(printed(vehicle.declaration(name), e, vehicle.signs) for e in ends)
         found[name] = low, high
     return found
@@ -76,30 +69,30 @@ def _intervals(problem: Problem) -> dict[str, Span]:
 
 def _parameters(problem: Problem) -> str:
     """For which parameters something is proved, in words."""
-    if not problem.spread:
+    if not problem.parameter_box:
         return "with parameters as in the file, not over their intervals"
     return "and every value of the uncertain parameters in their intervals"
 
 
 def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) -> Region:
     commands, law = Commands(problem), problem.gains.law.id
-    fault = _holding_fault(commands)
+    fault = _setpoint_fault(commands)
     if fault:
-        return _none(fault)
+        return _no_region(fault)
     if law not in ("pd", "pid"):
-        return _sliding(commands) if holds else _none(_FAILS)
-    if law == "pd" and holds and not problem.spread:
+        return _sliding(commands) if holds else _no_region(_FAILS)
+    if law == "pd" and holds and not problem.parameter_box:
         found = _pd(commands)
-        if found.kind != "none" and (start is None or _holds(problem, found, start)):
+        if found.kind != "none" and (start is None or _contains(problem, found, start)):
             return found
-    return _quadratic(problem, start)
+    return _searched_region(problem, start)
 
 
-def _none(reason: str) -> Region:
+def _no_region(reason: str) -> Region:
     return Region("none", f"no region: {reason}")
 
 
-def _holding_fault(commands: Commands) -> str:
+def _setpoint_fault(commands: Commands) -> str:
     """Why the set-point itself cannot be held, or nothing."""
     steady = commands.steady()
     share = steady / commands.limits
@@ -117,16 +110,16 @@ def _pd(commands: Commands) -> Region:
     """V = nu' M nu/2 + e' K_P e/2 never rises while angles are in range and damping outweighs its losses."""
     problem = commands.problem
     upper = _tilt_level(problem)
-    falling = _largest_level(_damping_outlasts(problem), upper)
+    falling = _largest_level(_damping_stays_positive(problem), upper)
     if falling == 0.0:
-        return _none("damping at speed is not proved to be positive at any speed")
+        return _no_region("damping at speed is not proved to be positive at any speed")
 
     def within_limits(level: float) -> bool:
         return bool(np.all(_pd_bounds(commands, level) <= commands.limits))
 
     thrust = _largest_level(within_limits, min(upper, falling))
     if thrust == 0.0:
-        return _none(_NO_THRUST)
+        return _no_region(_NO_THRUST)
     ends = {
         "roll and pitch stay in range": upper,
         "damping stays positive": falling,
@@ -153,24 +146,26 @@ def _pd_bounds(commands: Commands, level: float) -> Array:
     return pd_commands(commands, level, _starts(commands.problem, level))
 
 
-def _damping_outlasts(problem: Problem) -> Callable[[float], bool]:
+def _damping_stays_positive(problem: Problem) -> Callable[[float], bool]:
     """Whether K_V + D(nu) is positive at all speeds that a level of V allows, over all attitudes, proved."""
-    fast = [fast_damping(problem.plant, one) for one in problem.sets]
-    if not any(d.falls for d in fast):
+    losses = [damping_loss(problem.plant, sign_set) for sign_set in problem.sets]
+    if not any(d.decreases for d in losses):
         return lambda level: True  # the conditions at rest are those at any speed
-    rest = dampings(problem.sets)
+    dampings_at_rest = dampings(problem.sets)
     body = problem.quantities(problem.sets[0], problem.attitudes.at({}), None)
-    size = np.sqrt(np.diag(body.K_V) + np.maximum(np.min([np.diag(d) for d in rest], axis=0), 0))
-    scale = np.outer(size, size)
+    scales = np.sqrt(
+        np.diag(body.K_V) + np.maximum(np.min([np.diag(d) for d in dampings_at_rest], axis=0), 0)
+    )
+    scale = np.outer(scales, scales)
 
-    def outlasts(level: float) -> bool:
+    def stays_positive(level: float) -> bool:
         speeds = _pd_speeds(problem, level)
-        most = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in fast)
-        lost = np.diag(max(most, 0.0) * size**2)  # outweighs what damping loses in any sign set
-        left = (problem.with_damping(d - lost) for d in rest)
-        return all(problem.certificate(DERIVED_PD_DAMPER, one, None).bound > 0 for one in left)
+        largest = max(float(np.linalg.eigvalsh(d.loss(speeds) / scale)[-1]) for d in losses)
+        lost = np.diag(max(largest, 0.0) * scales**2)  # outweighs what damping loses in any sign set
+        remaining = (problem.with_damping(d - lost) for d in dampings_at_rest)
+        return all(problem.certificate(DERIVED_PD_DAMPER, sign_set, None).bound > 0 for sign_set in remaining)
 
-    return outlasts
+    return stays_positive
 
 
 def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
@@ -194,19 +189,19 @@ def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     speeds = _by_velocity(problem, _pd_speeds(problem, level))
     text = f"motions that begin with V < {level:.4g} stay there and come to rest ({_BEYOND} {ends})"
     largest = commands.result(_pd_bounds(commands, level))
-    return _bounded(problem, Region("level", text, level, reach, speeds, commands=largest))
+    return _region_or_none(problem, Region("level", text, level, reach, speeds, commands=largest))
 
 
-def _bounded(problem: Problem, found: Region) -> Region:
+def _region_or_none(problem: Problem, found: Region) -> Region:
     """A region with the starts that it allows, or none where these are too small to be one."""
     starts = found.errors if found.level is None else _starts(problem, found.level)
     smallest = min(starts, key=lambda c: starts[c])
     if starts[smallest] < SETTINGS.smallest_error:
-        return _none(
+        return _no_region(
             f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}; below "
             f"{SETTINGS.smallest_error:g} it does not count as a region"
         )
-    return replace(found, starts=dict(starts), text=found.text + _gate(problem))
+    return replace(found, starts=dict(starts), text=found.text + _gate_note(problem))
 
 
 def _starts(problem: Problem, level: float) -> dict[str, float]:
@@ -216,13 +211,13 @@ def _starts(problem: Problem, level: float) -> dict[str, float]:
 
 
 # --- a quadratic V ----------------------------------------------------------------------------------
-def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
+def _searched_region(problem: Problem, start: Mapping[str, float] | None) -> Region:
     """What is proved of the start, or of the largest usual start of which something is."""
     reason = _NOTHING_FOUND
-    usual = [dict.fromkeys(problem.coordinates, e) for e in SETTINGS.usual_starts]
-    for box in [start] if start else usual:
+    defaults = [dict.fromkeys(problem.coordinates, e) for e in SETTINGS.default_starts]
+    for box in [start] if start else defaults:
         try:
-            found = _searched(problem, box, start is not None)
+            found = _region_of_start(problem, box, start is not None)
         except UndertowError as error:
             if start:
                 raise
@@ -230,26 +225,28 @@ def _quadratic(problem: Problem, start: Mapping[str, float] | None) -> Region:
             continue
         if found is not None:
             return found
-    return _none(reason)
+    return _no_region(reason)
 
 
-def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
+def _region_of_start(problem: Problem, box: Mapping[str, float], stated: bool) -> Region | None:
     """The level set of a quadratic V, or bounds in time: what is quickest first.
 
     With many axes there hardly ever is a V, and none where attitudes are in the loop. With few, a smaller
     usual start may have one, which says more than bounds in time; over parameters it takes far longer, too.
     """
-    many, in_time = len(problem.coordinates) > PROGRAM.most_full, partial(_in_time, problem, box)
-    one_reading, every_reading = (partial(_with_a_form, problem, box, every) for every in (False, True))
-    ways: list[Callable[[], Region | None]] = [in_time, one_reading]
-    if many and not problem.same(("x", "y", "z")):
-        ways = [in_time]
-    elif not many and not problem.spread:
-        ways = [one_reading, in_time, every_reading] if stated else [one_reading, every_reading]
+    many, in_time = len(problem.coordinates) > PROGRAM.max_full_dofs, partial(_transient_region, problem, box)
+    one_identity, all_identities = (
+        partial(_quadratic_region, problem, box, every) for every in (False, True)
+    )
+    searches: list[Callable[[], Region | None]] = [in_time, one_identity]
+    if many and not problem.equal_gains(("x", "y", "z")):
+        searches = [in_time]
+    elif not many and not problem.parameter_box:
+        searches = [one_identity, in_time, all_identities] if stated else [one_identity, all_identities]
     refusals: list[UndertowError] = []
-    for way in ways:
+    for search in searches:
         try:
-            found = way()
+            found = search()
         except UndertowError as error:
             refusals.append(error)
             continue
@@ -260,12 +257,12 @@ def _searched(problem: Problem, box: Mapping[str, float], stated: bool) -> Regio
     return None
 
 
-def _with_a_form(problem: Problem, box: Mapping[str, float], every_reading: bool) -> Region | None:
-    found = Search(problem, box, every_reading).found()
+def _quadratic_region(problem: Problem, box: Mapping[str, float], all_identities: bool) -> Region | None:
+    found = QuadraticSearch(problem, box, all_identities).run()
     return None if found is None else _of_quadratic(problem, found)
 
 
-def _in_time(problem: Problem, box: Mapping[str, float]) -> Region | None:
+def _transient_region(problem: Problem, box: Mapping[str, float]) -> Region | None:
     found = bounds_in_time(problem, box)
     return None if found is None else _of_transient(problem, box, found)
 
@@ -274,8 +271,8 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
     text = (
         "motions that begin at rest in the start box stay within these errors and speeds and come to rest; "
         "bounded in time by variation of constants, all errors within half of these from "
-        f"{found.halved:.4g} s on; proved in interval arithmetic at every attitude and every motion in them, "
-        f"{_parameters(problem)}"
+        f"{found.halving_time:.4g} s on; proved in interval arithmetic at every attitude and every motion in "
+        f"them, {_parameters(problem)}"
     )
     return Region(
         "box",
@@ -291,7 +288,7 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
 
 def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     commands = Commands(problem)
-    if _scales(problem) and not len(commands.limits):
+    if _scale_invariant(problem) and not len(commands.limits):
         return Region(
             "everywhere",
             "everywhere: inertia and damping do not depend on speed or attitude; V is proved to fall, "
@@ -303,9 +300,9 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
         f"every attitude and every motion in it, {_parameters(problem)}"
     )
-    whole = Region(
+    region = Region(
         "level",
-        text + _gate(problem),
+        text + _gate_note(problem),
         1.0,
         _by_coordinate(problem, found.errors),
         _by_velocity(problem, found.speeds),
@@ -313,27 +310,27 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         commands.result(found.commands),
         quadratic=found,
     )
-    return whole
+    return region
 
 
-def _scales(problem: Problem) -> bool:
+def _scale_invariant(problem: Problem) -> bool:
     """Whether the loop is the same at any size of motion: what falls in a small box falls everywhere."""
     plant = problem.plant
     signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
-    moving = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
-    return not any(moving) and not set(problem.coordinates) & set(ANGLES)
+    varying = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
+    return not any(varying) and not set(problem.coordinates) & set(ANGLES)
 
 
-def _gate(problem: Problem) -> str:
+def _gate_note(problem: Problem) -> str:
     gated = problem.gains.schedule.order == "yaw-first"
     return "; counted from when the heading has come within its gate" if gated else ""
 
 
-def _holds(problem: Problem, found: Region, start: Mapping[str, float]) -> bool:
+def _contains(problem: Problem, found: Region, start: Mapping[str, float]) -> bool:
     """Whether a region holds every corner of a box of errors, at rest and with integrals at zero."""
     if found.kind == "none":
         return False
-    if found.found:
+    if found.by_search:
         return True  # it was searched for so
     angles = {c: np.pi for c in ANGLES if c == "psi"} | {c: problem.attitudes.tilt for c in ("phi", "theta")}
     if any(e >= angles.get(c, np.inf) for c, e in start.items()):
@@ -374,7 +371,7 @@ def _sliding(commands: Commands) -> Region:
     if len(commands.limits):
         scale = _largest_level(allowed, scale)
     if scale == 0.0:
-        return _none(_NO_THRUST)
+        return _no_region(_NO_THRUST)
     box = np.minimum(scale, largest_box)
     largest = bounds.bounds(box) if len(commands.limits) else np.zeros(0)
     claim = (
@@ -382,4 +379,6 @@ def _sliding(commands: Commands) -> Region:
         f"come to rest ({_BEYOND} {'thrust suffices' if len(largest) else 'roll and pitch stay in range'})"
     )
     errors, speeds = _by_coordinate(problem, box), _by_velocity(problem, bounds.speeds(box))
-    return _bounded(problem, Region("level", claim, None, errors, speeds, commands=commands.result(largest)))
+    return _region_or_none(
+        problem, Region("level", claim, None, errors, speeds, commands=commands.result(largest))
+    )

@@ -153,26 +153,26 @@ def single_repairs(problem: Problem) -> list[SingleRepair]:
     return [
         found
         for kind, condition in kinds
-        for one in problem.sets[:2]
+        for signs in problem.sets[:2]
         for i in problem.driven
-        if problem.margin(condition, one, None, i) <= 0
-        for found in (_single(problem, kind, condition, one, i, name) for name in ("K_P", "K_V", "K_I"))
+        if problem.margin(condition, signs, None, i) <= 0
+        for found in (_single(problem, kind, condition, signs, i, name) for name in ("K_P", "K_V", "K_I"))
     ]
 
 
 def _single(
-    problem: Problem, kind: str, condition: Condition, one: SignSet, i: int, name: str
+    problem: Problem, kind: str, condition: Condition, signs: SignSet, i: int, name: str
 ) -> SingleRepair:
     def margin(value: float) -> float:
         values = {**problem.values, name: problem.values[name].copy()}
         values[name][i] = value
-        return problem.changed(values).margin(condition, one, None, i)
+        return problem.with_gains(values).margin(condition, signs, None, i)
 
     span = where_positive(lambda gains: np.array([margin(g) for g in gains]), concave=False)
-    present = float(problem.values[name][i])
-    above = span is not None and present <= span[0]
+    current = float(problem.values[name][i])
+    above = span is not None and current <= span[0]
     bound = None if span is None else span[0] if above else span[1]
-    return SingleRepair(kind, name, problem.coordinates[i], one.name, bound, above)
+    return SingleRepair(kind, name, problem.coordinates[i], signs.name, bound, above)
 
 
 # --- all gains together -------------------------------------------------------------------------
@@ -188,7 +188,7 @@ def repair(problem: Problem, kind: str) -> Repair:
     variables = _Variables(problem, KINDS[kind].changes)
     for slack in SETTINGS.slacks:
         found = _with_slack(kind, variables, slack)
-        if not found.found or _still_holds(problem, found):
+        if not found.found or _holds_as_printed(problem, found):
             return found
     return Repair(kind, KINDS[kind].method, {}, {}, None, False)
 
@@ -207,20 +207,20 @@ def _with_slack(kind: str, variables: _Variables, slack: float) -> Repair:
     return _result(kind, variables, change, iota)
 
 
-def _still_holds(problem: Problem, found: Repair) -> bool:
+def _holds_as_printed(problem: Problem, found: Repair) -> bool:
     """Whether the gains satisfy what they were repaired for in the digits that are printed."""
     values = {name: v.copy() for name, v in problem.values.items()}
-    for name, changed in found.gains.items():
-        for coordinate, value in changed.items():
+    for name, new_values in found.gains.items():
+        for coordinate, value in new_values.items():
             values[name][problem.coordinates.index(coordinate)] = six_digits(value)
-    there, conditions = problem.changed(values), KINDS[found.kind].conditions
+    repaired, conditions = problem.with_gains(values), KINDS[found.kind].conditions
     if found.iota is not None:
-        return there.iota(conditions, there.distinct) is not None
+        return repaired.iota_interval(conditions, repaired.relevant_sets) is not None
     return all(
-        np.min(c.margin(there.channel_quantities(one, i, None, axis=axis))) > 0
+        np.min(c.margin(repaired.channel_quantities(signs, i, None, axis=axis))) > 0
         for c in conditions
-        for one in there.sets[:2]
-        for i, axis, _ in there.channels
+        for signs in repaired.sets[:2]
+        for i, axis, _ in repaired.channels
     )
 
 
@@ -232,7 +232,7 @@ class _Variables:
         self.groups = _groups(problem)
         self.size = len(self.names) * len(self.groups)
 
-    def place(self, name: str, i: int) -> int:
+    def index(self, name: str, i: int) -> int:
         """Which variable a gain is."""
         group = next(k for k, members in enumerate(self.groups) if i in members)
         return self.names.index(name) * len(self.groups) + group
@@ -242,7 +242,7 @@ class _Variables:
         result = {name: v.copy() for name, v in self.problem.values.items()}
         for name in self.names:
             for i in range(self.problem.size):
-                result[name][i] *= 1.0 + x[self.place(name, i)]
+                result[name][i] *= 1.0 + x[self.index(name, i)]
         return result
 
     def from_roots(self, x: Array | None) -> Array | None:
@@ -260,16 +260,16 @@ class _Variables:
         found = [{n: v.copy() for n, v in zero.items()} for _ in range(self.size)]
         for name in self.names:
             for i in range(self.problem.size):
-                found[self.place(name, i)][name][i] = self.problem.values[name][i]
+                found[self.index(name, i)][name][i] = self.problem.values[name][i]
         return found
 
 
 def _groups(problem: Problem) -> list[list[int]]:
     """Translations whose gains are alike go together where the heading turns one into the other."""
-    alike = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.same(tuple(c))), ())
-    pair = [problem.coordinates.index(c) for c in alike] if "psi" in problem.coordinates else []
-    rest = [[i] for i in range(problem.size) if i not in pair]
-    return [pair, *rest] if pair else rest
+    shared = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.equal_gains(tuple(c))), ())
+    group = [problem.coordinates.index(c) for c in shared] if "psi" in problem.coordinates else []
+    singles = [[i] for i in range(problem.size) if i not in group]
+    return [group, *singles] if group else singles
 
 
 def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Array | None]:
@@ -300,30 +300,30 @@ def _cuts(
     directions = variables.directions()
 
     def at(x: Array) -> Iterator[Cut]:
-        here = problem.changed(variables.values(x))
+        changed = problem.with_gains(variables.values(x))
         for condition in conditions:
-            for one in problem.distinct:
-                for inverse in problem.few_attitudes:
-                    yield from _matrix_cuts(here, condition, one, inverse, iota, directions, x)
+            for signs in problem.relevant_sets:
+                for inverse in problem.few_inverses:
+                    yield from _matrix_cuts(changed, condition, signs, inverse, iota, directions, x)
 
     return at
 
 
 def _matrix_cuts(
-    here: Problem,
+    changed: Problem,
     condition: Condition,
-    one: SignSet,
+    signs: SignSet,
     inverse: Array,
     iota: float,
     directions: list[dict[str, Array]],
     x: Array,
 ) -> Iterator[Cut]:
     def sides(values: dict[str, Array]) -> tuple[Array, Array]:
-        s = here.changed(values).quantities(one, inverse, iota)
+        s = changed.with_gains(values).quantities(signs, inverse, iota)
         return condition.left(s), condition.right(s)
 
-    left, right = sides(here.values)
-    moved = [sides({n: here.values[n] + d[n] for n in d}) for d in directions]
+    left, right = sides(changed.values)
+    moved = [sides({n: changed.values[n] + d[n] for n in d}) for d in directions]
     slopes = [(a - left, b - right) for a, b in moved]
     if condition.eigenvalues:
         pairs = [(u, w) for u in np.linalg.eigh(left)[1].T for w in np.linalg.eigh(right)[1].T]
@@ -343,12 +343,12 @@ def _routh_cuts(variables: _Variables) -> Callable[[Array], Iterator[Cut]]:
     problem = variables.problem
 
     def at(x: Array) -> Iterator[Cut]:
-        for one in problem.sets[:2]:
+        for signs in problem.sets[:2]:
             for i, axis, _ in problem.channels:
-                p, v, s = (variables.place(n, i) for n in ("K_P", "K_V", "K_I"))
+                p, v, s = (variables.index(n, i) for n in ("K_P", "K_V", "K_I"))
                 k_p, k_v, k_i = (float(problem.values[n][i]) for n in ("K_P", "K_V", "K_I"))
-                K, P = k_v * (1 + x[v]) + float(one.damping[axis, axis]), k_p * (1 + x[p])
-                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(one.inertia[axis, axis]) * k_i)
+                K, P = k_v * (1 + x[v]) + float(signs.damping[axis, axis]), k_p * (1 + x[p])
+                mean, root = math.sqrt(max(K * P, 0.0)), math.sqrt(float(signs.inertia[axis, axis]) * k_i)
                 slope = np.zeros(variables.size)
                 slope[p], slope[v], slope[s] = K * k_p / (2 * mean), P * k_v / (2 * mean), -root / 2
                 value = mean - root * (1 + x[s] / 2)

@@ -11,7 +11,7 @@ from undertow.notebook import html
 from undertow.typing import Array
 
 from .by_law import Lyapunov
-from .problem import Range, Span
+from .problem import RobustVerdict, Span
 
 HOLDS, FAILS = "holds", "fails"
 UNPROVED = "not proved"
@@ -32,27 +32,29 @@ class CertificateSettings:
     smallest_error: float = 1e-2
     # Errors of every coordinate, m and rad, that the region of a quadratic V is searched for where none are
     # stated: from half a metre and 29 degrees down to what sensors resolve.
-    usual_starts: tuple[float, ...] = (0.5, 0.1, 0.02)
+    default_starts: tuple[float, ...] = (0.5, 0.1, 0.02)
     largest_error: float = 1e4  # errors beyond it are not looked at where thrusters have limits, m
     # Error of the reported pose, m and rad, with which a loop may come to rest and still hold its set-point:
     # the accuracy of acoustic positioning and magnetic compasses.
     largest_offset: float = 0.1
     # A motion that decays more slowly does not count as decaying, 1/s: its time constant is over a week.
-    slowest: float = 1e-6
+    slowest_decay: float = 1e-6
     # At how many headings the whole loop is linearised where its motion depends on the heading.
     headings: int = 12
-    pade: int = 4  # order of the approximation of dead times there
+    pade_order: int = 4  # order of the approximation of dead times there
     # How much faster a law that jumps leaves the layer that stands for the jump than its surface leads to the
     # set-point.
     layer_speed: float = 20.0
-    starts: int = 8  # how many starts are simulated where effects or axes are outside the certificate
-    lasts: float = 20.0  # length of these simulations in slowest time constants
+    simulated_starts: int = (
+        8  # how many starts are simulated where effects or axes are outside the certificate
+    )
+    time_constants: float = 20.0  # length of these simulations in slowest time constants
     # Its limits, s: what takes longer than a quarter of an hour is judged by that.
     durations: tuple[float, float] = (30.0, 900.0)
     dt: float = 0.01  # sampling interval there, s; a tenth of it where the law needs that
-    comes_back: float = 0.25  # part of the error of the start that may be left at the end
+    largest_residual: float = 0.25  # part of the error of the start that may be left at the end
     # Factor on what the slowest pole leaves of it, where that is more: poles are those near rest only.
-    slack: float = 1.2
+    pole_slack: float = 1.2
 
 
 SETTINGS = CertificateSettings()
@@ -77,8 +79,8 @@ class Row:
     uses_iota: bool = False
     at_iota: float | None = None
     where: str = ""  # where the margin is least and why it is nowhere less
-    box: Range | None = None  # verdicts over the uncertainty of the parameters
-    ellipsoid: Range | None = None
+    box: RobustVerdict | None = None  # verdicts over the uncertainty of the parameters
+    ellipsoid: RobustVerdict | None = None
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ class Transient:
     rate: float  # 1/s
 
     @property
-    def halved(self) -> float:
+    def halving_time(self) -> float:
         """From when on all errors stay within half of their largest bounds, s; bounds may rise in between."""
         beyond = np.flatnonzero((self.errors > 0.5 * self.errors.max(axis=0)).any(axis=1))
         return float(np.append(self.times, np.inf)[beyond[-1] + 1])
@@ -163,7 +165,7 @@ class Transient:
         return Transient(np.array(begin), errors, speeds, commands, self.rate)
 
 
-def together(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:
+def merge_headings(proofs: Sequence[Quadratic], half_turn: Array) -> Quadratic:
     """One statement of what was proved for ranges of headings, those of the other half of a turn with it."""
     P = np.concatenate([p.P for p in proofs])
     if len(proofs) > 1:
@@ -200,7 +202,7 @@ class Region:
     parameters: dict[str, Span] = field(default_factory=dict)
 
     @property
-    def found(self) -> bool:
+    def by_search(self) -> bool:
         """Whether it was searched for and proved: conditions derived from the model are not needed then."""
         return self.quadratic is not None or self.transient is not None
 
@@ -216,7 +218,7 @@ class ZeroDynamics:
 
 
 @dataclass(frozen=True)
-class WholeLoop:
+class FullLoop:
     """The loop with all effects, sensors and limits, linearised at its rest and tried by simulation."""
 
     verdict: str  # "stable", "unstable", "off the set-point" or "not judged"
@@ -257,9 +259,9 @@ class Report:
         Effects that no condition knows, with the reason.
     uncertainty : str
         Where the uncertainty of the parameters is from, and its confidence.
-    full_loop : WholeLoop or None
+    full_loop : FullLoop or None
         The loop with the effects that no condition knows; None where it was not looked at.
-    loop_with_observer : WholeLoop or None
+    loop_with_observer : FullLoop or None
         The loop in which the law gets the estimate of an observer, linearised; None without one.
     """
 
@@ -275,8 +277,8 @@ class Report:
     zero_dynamics: ZeroDynamics | None = None
     not_covered: dict[str, str] = field(default_factory=dict)
     uncertainty: str = ""
-    full_loop: WholeLoop | None = None
-    loop_with_observer: WholeLoop | None = None
+    full_loop: FullLoop | None = None
+    loop_with_observer: FullLoop | None = None
 
     @property
     def satisfied(self) -> bool:
@@ -287,8 +289,8 @@ class Report:
     @property
     def conditions_hold(self) -> bool:
         """Whether every condition of every form holds, one iota serves all, and every channel is stable."""
-        border = SETTINGS.slowest if self.zero_dynamics else 0.0  # what nothing pushes stays where it is
-        coupled = all(r.real < border for roots in self.coupled.values() for r in roots)
+        limit = SETTINGS.slowest_decay if self.zero_dynamics else 0.0  # what nothing pushes stays where it is
+        coupled = all(r.real < limit for roots in self.coupled.values() for r in roots)
         return self.satisfied and coupled and all(c.stable for c in self.channels)
 
     @property
@@ -301,12 +303,12 @@ class Report:
         where there are others, as is the one with an observer, if one was asked for.
         """
         certified = self.zero_dynamics.stable if self.zero_dynamics else self.region.kind != "none"
-        held = self.conditions_hold or (self.region.found and self._others_hold)
-        whole = all(one is None or one.stable for one in (self.full_loop, self.loop_with_observer))
-        return held and certified and whole and self.region.contains_start is not False
+        held = self.conditions_hold or (self.region.by_search and self._other_conditions_hold)
+        loops = all(loop is None or loop.stable for loop in (self.full_loop, self.loop_with_observer))
+        return held and certified and loops and self.region.contains_start is not False
 
     @property
-    def _others_hold(self) -> bool:
+    def _other_conditions_hold(self) -> bool:
         """Whether every condition holds that is not derived from the model."""
         rows = all(r.verdict == HOLDS for r in self.rows if r.form != "derived")
         return rows and all(a.verdict == HOLDS for a in self.agreements if a.form != "derived")

@@ -11,7 +11,7 @@ import numpy as np
 
 from undertow.codegen.functions import wrapped
 
-from .reference import Course, Followed, Kinematics, Limits, Number, Reference
+from .reference import DesiredMotion, Followed, Kinematics, Limits, MissionNumber, Reference
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Leg(NamedTuple):
     length: ca.SX  # in the plane, m
     cross: ca.SX  # to starboard of it, m
     below: ca.SX  # deeper than it, at right angles to it, m
-    left: ca.SX  # distance to its end, m
+    to_end: ca.SX  # distance to its end, m
     depth: ca.SX  # of the leg here, m
     # bend, rise: change of course and incline for each metre of way in the plane, rad/m; zero if straight
-    bend: ca.SX = 0
-    rise: ca.SX = 0
+    curvature: ca.SX = 0
+    incline_rate: ca.SX = 0
 
 
 class LineOfSight(Reference):
@@ -69,14 +69,14 @@ class LineOfSight(Reference):
         limits: Limits,
         guidance: Guidance,
         pitches: bool,
-        unheld: tuple[str, ...] = (),
+        uncontrolled: tuple[str, ...] = (),
     ) -> None:
         self.names, self.points, self.limits, self.guidance = names, points, limits, guidance
-        self.pitches, self.unheld = pitches, unheld
+        self.pitches, self.uncontrolled = pitches, uncontrolled
         pose = {n: np.zeros(len(points)) for n in names} | {
             n: points[:, i] for i, n in enumerate("xyz") if n in names
         }
-        courses = self._courses()
+        courses = self._course_angles()
         self.start, self.end = (
             np.array([pose[n][i] if n != "psi" else courses[i] for n in names]) for i in (0, -1)
         )
@@ -85,15 +85,15 @@ class LineOfSight(Reference):
     def _check(self) -> None:
         """Refuse a path that cannot be followed; legs can, whatever their length."""
 
-    def _courses(self) -> np.ndarray:
+    def _course_angles(self) -> np.ndarray:
         """Courses along the path, rad, from that at its start to that at its end."""
         north, east, _ = np.diff(self.points, axis=0).T
         return np.asarray(np.arctan2(east, north))
 
     @property
-    def numbers(self) -> list[Number]:
+    def numbers(self) -> list[MissionNumber]:
         """The way-points, then speed, limits and the numbers of the guidance."""
-        own = {**vars(self.limits), **vars(self.guidance)}
+        values = {**vars(self.limits), **vars(self.guidance)}
         units = {
             "speed": "m/s",
             "acceleration": "m/s^2",
@@ -101,13 +101,13 @@ class LineOfSight(Reference):
             "turn_acceleration": "rad/s^2",
         }
         units |= {"lookahead": "m", "acceptance": "m", "integral": "m/s", "steepest": "rad"}
-        return self._places + [Number(n, units[n], float(own[n])) for n in units]
+        return self._path_numbers + [MissionNumber(n, units[n], float(values[n])) for n in units]
 
     @property
-    def _places(self) -> list[Number]:
+    def _path_numbers(self) -> list[MissionNumber]:
         """Numbers of the path."""
         return [
-            Number(f"{c}_{i}", "m", float(v))
+            MissionNumber(f"{c}_{i}", "m", float(v))
             for i, p in enumerate(self.points)
             for c, v in zip("xyz", p, strict=True)
         ]
@@ -117,142 +117,145 @@ class LineOfSight(Reference):
         return [0.0] * len(self.state_names)
 
     # --- the functions ------------------------------------------------------------------------
-    def course(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Course:
+    def desired(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> DesiredMotion:
         """The attitude and speed that the models have come to; the position as it is."""
-        state, growth = self._now(s, kin), self._growth(r, s, kin)
+        state, accelerations = self._state(s, kin), self._accelerations(r, s, kin)
         leg = self._leg(r, s, kin)
         n = len(kin.names)
-        eta_d, rate, rising = ca.SX(kin.eta), ca.SX.zeros(n, 1), ca.SX.zeros(n, 1)
-        steered = {"psi": "heading"} | ({"theta": "pitch"} if self.pitches else {})
+        eta_d, rate, acceleration = ca.SX(kin.eta), ca.SX.zeros(n, 1), ca.SX.zeros(n, 1)
+        states = {"psi": "heading"} | ({"theta": "pitch"} if self.pitches else {})
         for angle in (a for a in ("phi", "theta", "psi") if a in kin.names):
-            i, what = kin.place(angle), steered.get(angle)
-            eta_d[i] = state[what] if what else 0
-            rate[i] = state[f"{what}_rate"] if what else 0
-            rising[i] = growth[what] if what else 0
+            i, model = kin.index(angle), states.get(angle)
+            eta_d[i] = state[model] if model else 0
+            rate[i] = state[f"{model}_rate"] if model else 0
+            acceleration[i] = accelerations[model] if model else 0
         nu_r = kin.J_inverse @ rate
-        nu_r_dot = kin.J_inverse @ (rising - kin.J_dot @ nu_r)
+        nu_r_dot = kin.J_inverse @ (acceleration - kin.J_dot @ nu_r)
         if "z" in kin.names and not self.pitches:
-            eta_d[kin.place("z")] = leg.depth
-            nu_r[kin.place("z")] = -state["speed"] * ca.tan(leg.incline)
-        nu_r[kin.place("x")], nu_r_dot[kin.place("x")] = state["speed"], growth["speed"]
-        return Course(eta_d, nu_r, nu_r_dot)
+            eta_d[kin.index("z")] = leg.depth
+            nu_r[kin.index("z")] = -state["speed"] * ca.tan(leg.incline)
+        nu_r[kin.index("x")], nu_r_dot[kin.index("x")] = state["speed"], accelerations["speed"]
+        return DesiredMotion(eta_d, nu_r, nu_r_dot)
 
     def advance(self, r: ca.SX, s: ca.SX, kin: Kinematics, dt: ca.SX) -> ca.SX:
         """Legs, integrals and models one sample on."""
-        state, growth, leg = self._now(s, kin), self._growth(r, s, kin), self._leg(r, s, kin)
+        state, accelerations, leg = self._state(s, kin), self._accelerations(r, s, kin), self._leg(r, s, kin)
         value = self._values(r)
-        sums = {}
+        integrals = {}
         for name, error in (("cross_integral", leg.cross), ("depth_integral", leg.below)):
             aim = error + value["integral"] * state[name]
             gain = value["lookahead"] * error / (aim**2 + value["lookahead"] ** 2)
-            sums[name] = state[name] + dt * gain
-        onward, kept = self._onward(r, s, kin, leg)
-        sums["cross_integral"] *= kept
+            integrals[name] = state[name] + dt * gain
+        progress, kept = self._progress(r, s, kin, leg)
+        integrals["cross_integral"] *= kept
         later = {
-            **onward,
+            **progress,
             "started": ca.SX(1),
-            **sums,
-            "speed": state["speed"] + dt * growth["speed"],
+            **integrals,
+            "speed": state["speed"] + dt * accelerations["speed"],
         }
         for name in ("heading", "pitch"):
-            later[f"{name}_rate"] = state[f"{name}_rate"] + dt * growth[name]
+            later[f"{name}_rate"] = state[f"{name}_rate"] + dt * accelerations[name]
             later[name] = state[name] + dt * later[f"{name}_rate"]
         return ca.vertcat(*[later[n] for n in self.state_names])
 
-    def _onward(self, r: ca.SX, s: ca.SX, kin: Kinematics, leg: Leg) -> tuple[dict[str, ca.SX], ca.SX]:
+    def _progress(self, r: ca.SX, s: ca.SX, kin: Kinematics, leg: Leg) -> tuple[dict[str, ca.SX], ca.SX]:
         """The leg that comes next and whether the end is reached; the share of the integral that stays."""
-        state, value = self._now(s, kin), self._values(r)
-        reached = ca.logic_or(leg.left <= value["acceptance"], leg.along >= leg.length)
+        state, value = self._state(s, kin), self._values(r)
+        reached = ca.logic_or(leg.to_end <= value["acceptance"], leg.along >= leg.length)
         last = state["leg"] >= len(self.points) - 2
-        stays = 1 - ca.logic_and(reached, ca.logic_not(last))
+        same_leg = 1 - ca.logic_and(reached, ca.logic_not(last))
         # What is known of a current is its part across the old leg: this is what of it is across the new one.
         following = self._leg(r, ca.vertcat(state["leg"] + 1, s[1:]), kin)
-        onward = {
-            "leg": state["leg"] + (1 - stays),
+        progress = {
+            "leg": state["leg"] + (1 - same_leg),
             "arrived": ca.fmax(state["arrived"], ca.logic_and(reached, last)),
         }
-        return onward, ca.if_else(stays, 1, ca.cos(following.course - leg.course))
+        return progress, ca.if_else(same_leg, 1, ca.cos(following.course - leg.course))
 
-    def _now(self, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
+    def _state(self, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
         """States by name; at the first sample heading, pitch and speed are those reported."""
         state = dict(zip(self.state_names, ca.vertsplit(s), strict=True))
-        seen = {"heading": kin.eta[kin.place("psi")], "speed": kin.nu[kin.place("x")]}
+        reported = {"heading": kin.eta[kin.index("psi")], "speed": kin.nu[kin.index("x")]}
         if "theta" in kin.names:
-            seen["pitch"] = kin.eta[kin.place("theta")]
-        return state | {n: ca.if_else(state["started"] > 0, state[n], v) for n, v in seen.items()}
+            reported["pitch"] = kin.eta[kin.index("theta")]
+        return state | {n: ca.if_else(state["started"] > 0, state[n], v) for n, v in reported.items()}
 
     def _values(self, r: ca.SX) -> dict[str, ca.SX]:
-        count = len(self._places)
+        count = len(self._path_numbers)
         names = (*vars(self.limits), *vars(self.guidance))
         return dict(zip(names, ca.vertsplit(r[count:]), strict=True))
 
     def _leg(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Leg:
         count = len(self.points)
         points = ca.reshape(r[: 3 * count], 3, count)
-        on = ca.vertcat(*[s[0] == i for i in range(count - 1)])
-        begin, end = points[:, :-1] @ on, points[:, 1:] @ on
-        places = [kin.eta[kin.place(c)] if c in kin.names else ca.SX(0) for c in "xyz"]
-        return beside(ca, begin, end, places)
+        selected = ca.vertcat(*[s[0] == i for i in range(count - 1)])
+        begin, end = points[:, :-1] @ selected, points[:, 1:] @ selected
+        places = [kin.eta[kin.index(c)] if c in kin.names else ca.SX(0) for c in "xyz"]
+        return relative_to_leg(ca, begin, end, places)
 
-    def _growth(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
+    def _accelerations(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> dict[str, ca.SX]:
         """Accelerations of the models of heading, pitch and speed."""
-        state, leg, value = self._now(s, kin), self._leg(r, s, kin), self._values(r)
-        aims = (leg.cross + value["integral"] * state["cross_integral"]) / value["lookahead"]
-        dives = (leg.below + value["integral"] * state["depth_integral"]) / value["lookahead"]
-        wanted = {
-            "heading": leg.course - ca.atan(aims),
-            "pitch": _clipped(leg.incline + ca.atan(dives), value["steepest"]),
+        state, leg, value = self._state(s, kin), self._leg(r, s, kin), self._values(r)
+        cross_slope = (leg.cross + value["integral"] * state["cross_integral"]) / value["lookahead"]
+        depth_slope = (leg.below + value["integral"] * state["depth_integral"]) / value["lookahead"]
+        desired = {
+            "heading": leg.course - ca.atan(cross_slope),
+            "pitch": _clipped(leg.incline + ca.atan(depth_slope), value["steepest"]),
         }
         # Critically damped, and slow enough that a turn from its largest rate needs no more than the limit.
-        quick = value["turn_acceleration"] / (2 * value["turn_rate"])
-        turning = {"heading": leg.bend * _speed_along(leg, kin), "pitch": leg.rise * _speed_along(leg, kin)}
+        bandwidth = value["turn_acceleration"] / (2 * value["turn_rate"])
+        feed_forward = {
+            "heading": leg.curvature * _speed_along(leg, kin),
+            "pitch": leg.incline_rate * _speed_along(leg, kin),
+        }
         found = {}
-        for name, target in wanted.items():
+        for name, target in desired.items():
             # Cut off here, the rate tends to its limit and never passes it.
             error = wrapped(target - state[name])
-            rate = _clipped(quick * error / 2 + turning[name], value["turn_rate"])
-            found[name] = _clipped(2 * quick * (rate - state[f"{name}_rate"]), value["turn_acceleration"])
+            rate = _clipped(bandwidth * error / 2 + feed_forward[name], value["turn_rate"])
+            found[name] = _clipped(2 * bandwidth * (rate - state[f"{name}_rate"]), value["turn_acceleration"])
         speed = (1 - state["arrived"]) * value["speed"] - state["speed"]
-        found["speed"] = _clipped(quick * speed, value["acceleration"])
+        found["speed"] = _clipped(bandwidth * speed, value["acceleration"])
         return found
 
     # --- beside a run -------------------------------------------------------------------------
     def followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed:
         """Heading, pitch and depth that were asked for, and how far off the path the vehicle was."""
         named = dict(zip(self.state_names, s.T, strict=True))
-        found = self._passed(named, [state.get(c, np.zeros(len(t))) for c in "xyz"])
+        found = self._positions(named, [state.get(c, np.zeros(len(t))) for c in "xyz"])
         desired = {"psi": named["heading"], "z": found.depth, "u": named["speed"]}
         if self.pitches:
             desired["theta"] = named["pitch"]
         errors = {"cross track": -found.cross}
         if "z" in self.names:
             errors["depth"] = -found.below
-        kept = {n: v for n, v in desired.items() if n in state}
-        return Followed(kept, errors, named["arrived"] > 0, self.way)
+        known = {n: v for n, v in desired.items() if n in state}
+        return Followed(known, errors, named["arrived"] > 0, self.path)
 
     @property
-    def way(self) -> np.ndarray:
+    def path(self) -> np.ndarray:
         """The path in the plane, shape (k, 2)."""
         return self.points[:, :2]
 
-    def _passed(self, named: dict[str, np.ndarray], places: list[np.ndarray]) -> Leg:
+    def _positions(self, named: dict[str, np.ndarray], places: list[np.ndarray]) -> Leg:
         """Position relative to the path over rows."""
         leg = named["leg"].astype(int)
-        return beside(np, self.points[leg].T, self.points[leg + 1].T, places)
+        return relative_to_leg(np, self.points[leg].T, self.points[leg + 1].T, places)
 
 
 def _speed_along(leg: Leg, kin: Kinematics) -> ca.SX:
     """Speed over ground along the path in the plane, of a level vehicle."""
-    aside = kin.eta[kin.place("psi")] - leg.course
-    sway = kin.nu[kin.place("y")] if "y" in kin.names else 0
-    return kin.nu[kin.place("x")] * ca.cos(aside) - sway * ca.sin(aside)
+    aside = kin.eta[kin.index("psi")] - leg.course
+    sway = kin.nu[kin.index("y")] if "y" in kin.names else 0
+    return kin.nu[kin.index("x")] * ca.cos(aside) - sway * ca.sin(aside)
 
 
 def _clipped(value: ca.SX, most: ca.SX) -> ca.SX:
     return ca.fmax(-most, ca.fmin(most, value))
 
 
-def beside(m, begin, end, place) -> Leg:  # type: ignore[no-untyped-def]
+def relative_to_leg(m, begin, end, place) -> Leg:  # type: ignore[no-untyped-def]
     """Position relative to the leg from begin to end, in CasADi or NumPy (`m`)."""
     north, east, down = (end[i] - begin[i] for i in range(3))
     length = m.sqrt(north**2 + east**2)
@@ -261,6 +264,6 @@ def beside(m, begin, end, place) -> Leg:  # type: ignore[no-untyped-def]
     along = (north * x + east * y) / length
     cross = (north * y - east * x) / length
     share = m.fmax(0, m.fmin(1, along / length))
-    off = z - share * down
-    left = m.sqrt((north - x) ** 2 + (east - y) ** 2 + (down - z) ** 2)
-    return Leg(course, incline, along, length, cross, off * m.cos(incline), left, begin[2] + share * down)
+    below = z - share * down
+    to_end = m.sqrt((north - x) ** 2 + (east - y) ** 2 + (down - z) ** 2)
+    return Leg(course, incline, along, length, cross, below * m.cos(incline), to_end, begin[2] + share * down)

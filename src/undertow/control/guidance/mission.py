@@ -18,7 +18,16 @@ from undertow.model.units import si_of
 
 from .curves import SplineOfSight
 from .line_of_sight import Guidance, LineOfSight
-from .reference import Limits, Profile, Reference, TimedReference, spline, straight_legs, times_of, within
+from .reference import (
+    Limits,
+    Profile,
+    Reference,
+    TimedReference,
+    fitted_to_limits,
+    spline,
+    straight_legs,
+    waypoint_times,
+)
 
 
 class WaypointTable(FileTable):
@@ -100,14 +109,14 @@ class Mission:
     guidance: Guidance  # line of sight; legs use it, and splines of what does not push in sway
     # velocity of the water to the north and to the east in simulations, m/s
     current: tuple[float, float] | None
-    sighted: bool = False  # whether the file states line of sight, for vehicles that could do without
+    has_guidance: bool = False  # whether the file states line of sight, for vehicles that could do without
 
     @property
     def length(self) -> float:
         """Sum of the distances between way-points, m."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
-    def lasts(self, names: tuple[str, ...]) -> float:
+    def simulation_time(self, names: tuple[str, ...]) -> float:
         """Time to simulate, with some to spare, s."""
         if self.kind == "legs":
             return 1.5 * self.length / self.limits.speed + 30.0
@@ -117,27 +126,27 @@ class Mission:
         """What a controller with these gains follows."""
         vehicle = gains.plant.vehicle
         names = vehicle.pose_names
-        _require(self, names, vehicle.name)
-        pushed = {
+        _check_coordinates(self, names, vehicle.name)
+        actuated = {
             n for n, d in zip(names, vehicle.degrees_of_freedom, strict=True) if d not in gains.unactuated
         }
-        idle = [n for n in ("x", "y", "z", "psi") if n in names and n not in pushed]
-        if self.kind == "legs" or (self.kind == "spline" and (self.sighted or idle)):
-            return self._by_sight(gains, pushed)
-        if idle:
+        unactuated = [n for n in ("x", "y", "z", "psi") if n in names and n not in actuated]
+        if self.kind == "legs" or (self.kind == "spline" and (self.has_guidance or unactuated)):
+            return self._line_of_sight(gains, actuated)
+        if unactuated:
             raise UndertowError(
-                f"a mission of kind '{self.kind}' controls {idle[0]}, in which '{vehicle.name}' has no "
+                f"a mission of kind '{self.kind}' controls {unactuated[0]}, in which '{vehicle.name}' has no "
                 'actuator: write kind = "legs" or "spline", which steer along the heading'
             )
         return TimedReference(self.profile(names))
 
-    def _by_sight(self, gains: GainSet, pushed: set[str]) -> LineOfSight:
+    def _line_of_sight(self, gains: GainSet, actuated: set[str]) -> LineOfSight:
         """Legs, or a spline, for a vehicle that steers along its heading."""
         vehicle = gains.plant.vehicle
         names = vehicle.pose_names
-        _require_steering(self, pushed, vehicle.name)
-        pitches = "z" not in pushed and "theta" in pushed
-        if "z" in names and not pitches and "z" not in pushed and np.ptp(self.points[:, 2]):
+        _require_steering(self, actuated, vehicle.name)
+        pitches = "z" not in actuated and "theta" in actuated
+        if "z" in names and not pitches and "z" not in actuated and np.ptp(self.points[:, 2]):
             raise UndertowError(
                 f"'{vehicle.name}' pushes neither in heave nor in pitch: give all way-points the same z"
             )
@@ -145,10 +154,10 @@ class Mission:
             raise UndertowError(
                 f"'{vehicle.name}' steers along the spline, by line of sight: remove psi and heading"
             )
-        left = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
-        unheld = tuple(vehicle.velocity_names[i] for i in left)
+        unactuated = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in gains.unactuated]
+        uncontrolled = tuple(vehicle.velocity_names[i] for i in unactuated)
         make = SplineOfSight if self.kind == "spline" else LineOfSight
-        return make(names, self.points, self.limits, self.guidance, pitches, unheld)
+        return make(names, self.points, self.limits, self.guidance, pitches, uncontrolled)
 
     def profile(self, names: tuple[str, ...]) -> Profile:
         """The pose over time of set-points, splines and trajectories in these coordinates."""
@@ -162,22 +171,24 @@ class Mission:
     def _setpoints(self, names: tuple[str, ...]) -> Profile:
         """A turn at the way-point, then the way."""
         points, headings = [self.points[0]], [self.headings[0]]
-        for begin, end, given in zip(self.points[:-1], self.points[1:], self.headings[1:], strict=True):
+        for begin, end, stated in zip(self.points[:-1], self.points[1:], self.headings[1:], strict=True):
             north, east = (end - begin)[:2]
-            way = given if given is not None else math.atan2(east, north) if north or east else headings[-1]
-            headings[0] = way if headings[0] is None else headings[0]
+            heading = (
+                stated if stated is not None else math.atan2(east, north) if north or east else headings[-1]
+            )
+            headings[0] = heading if headings[0] is None else headings[0]
             points += [begin, end]
-            headings += [headings[-1] if given is not None else way, way]
-        every = self._poses(names, np.array(points), np.array(headings, dtype=float))
-        return straight_legs(names, list(every), self.limits, self.hold)
+            headings += [headings[-1] if stated is not None else heading, heading]
+        poses = self._poses(names, np.array(points), np.array(headings, dtype=float))
+        return straight_legs(names, list(poses), self.limits, self.hold)
 
     def _spline(self, names: tuple[str, ...]) -> Profile:
-        first = times_of(self.points, np.zeros(len(self.points)), self.limits)
-        headings = self._along(first)
-        times = times_of(self.points, np.unwrap(headings), self.limits)
-        return within(spline(names, self._poses(names, self.points, headings), times), self.limits)
+        first = waypoint_times(self.points, np.zeros(len(self.points)), self.limits)
+        headings = self._tangent_headings(first)
+        times = waypoint_times(self.points, np.unwrap(headings), self.limits)
+        return fitted_to_limits(spline(names, self._poses(names, self.points, headings), times), self.limits)
 
-    def _along(self, times: np.ndarray) -> np.ndarray:
+    def _tangent_headings(self, times: np.ndarray) -> np.ndarray:
         """Heading at every way-point: as given, else that of the curve; the ends have that of their chord."""
         curve = spline(("x", "y", "z"), self.points, times)
         rates = curve.at(times - times[0], 1)
@@ -196,30 +207,30 @@ class Mission:
                 f"way-point {late[0] + 2} has t = {times[late[0] + 1]:g} s, not later than the one before: "
                 "times have to increase"
             )
-        headings = self._along(times)
+        headings = self._tangent_headings(times)
         found = spline(names, self._poses(names, self.points, headings), times)
-        _keeps(found, self.limits)
+        _check_limits(found, self.limits)
         return found
 
 
-def _keeps(profile: Profile, limits: Limits) -> None:
+def _check_limits(profile: Profile, limits: Limits) -> None:
     """Refuse a trajectory that exceeds its limits, and say where, and which time it would need."""
     words = {False: ("speed", "m/s"), True: ("turn rate", "rad/s")}
     for angles, (name, unit) in words.items():
         for order, limit in enumerate(limits.of(angles), 1):
-            sizes = profile.sizes(order, angles)
-            worst = int(np.argmax(sizes))
-            if sizes[worst] > limit * (1 + 1e-9):
+            peaks = profile.peaks(order, angles)
+            worst = int(np.argmax(peaks))
+            if peaks[worst] > limit * (1 + 1e-9):
                 what, by = (name, unit) if order == 1 else (f"{name.split()[0]} acceleration", f"{unit}^2")
-                factor = (sizes[worst] / limit) ** (1 / order)
+                factor = (peaks[worst] / limit) ** (1 / order)
                 raise UndertowError(
-                    f"{what} of the trajectory is {sizes[worst]:.4g} {by} near t = "
+                    f"{what} of the trajectory is {peaks[worst]:.4g} {by} near t = "
                     f"{profile.knots[worst]:.4g} s, above {limit:.4g}: allow {factor:.3g} times the time, "
                     "or raise the limit"
                 )
 
 
-def _require(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
+def _check_coordinates(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
     for i, name in enumerate("xyz"):
         if name not in names and np.any(mission.points[:, i]):
             raise UndertowError(
@@ -229,22 +240,22 @@ def _require(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
         raise UndertowError(f"a mission needs x, y and psi, and '{vehicle}' has {', '.join(names)}")
 
 
-_WAYS = {"legs": "legs", "spline": "splines by line of sight"}
+_KINDS = {"legs": "legs", "spline": "splines by line of sight"}
 
 
-def _require_steering(mission: Mission, pushed: set[str], vehicle: str) -> None:
-    missing = [n for n in ("x", "psi") if n not in pushed]
+def _require_steering(mission: Mission, actuated: set[str], vehicle: str) -> None:
+    missing = [n for n in ("x", "psi") if n not in actuated]
     if missing:
         what = {"x": "surge", "psi": "yaw"}[missing[0]]
         raise UndertowError(
-            f"{_WAYS[mission.kind]} need a force in {what}, which '{vehicle}' does not have; fins and "
+            f"{_KINDS[mission.kind]} need a force in {what}, which '{vehicle}' does not have; fins and "
             "rudders give one if the gain file has [allocation] speed"
         )
     flat = np.linalg.norm(np.diff(mission.points[:, :2], axis=0), axis=1)
     if (flat < LIMITS.closest).any():
         raise UndertowError(
             f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} are above each other, "
-            f'but {_WAYS[mission.kind]} need a horizontal direction: move one, or write kind = "setpoints"'
+            f'but {_KINDS[mission.kind]} need a horizontal direction: move one, or write kind = "setpoints"'
         )
 
 
@@ -269,10 +280,10 @@ def load_mission(source: str | Path) -> Mission:
 def mission_from_table(table: MissionTable) -> Mission:
     """The mission that a validated file describes."""
     _check_keys(table)
-    limits = {"speed": _size("speed", table.speed, "m/s")}
+    limits = {"speed": _bounded("speed", table.speed, "m/s")}
     units = {"acceleration": "m/s^2", "turn_rate": "rad/s", "turn_acceleration": "rad/s^2"}
-    limits |= {n: _size(f"[limits] {n}", getattr(table.limits, n), u) for n, u in units.items()}
-    points = np.array([_place(i, w) for i, w in enumerate(table.waypoints, 1)])
+    limits |= {n: _bounded(f"[limits] {n}", getattr(table.limits, n), u) for n, u in units.items()}
+    points = np.array([_waypoint(i, w) for i, w in enumerate(table.waypoints, 1)])
     _check_apart(table.kind, points)
     common = None if table.heading == "along" else si_of("heading", table.heading, "rad")
     headings = [
@@ -316,7 +327,7 @@ def _check_keys(table: MissionTable) -> None:
 
 
 def _guidance(table: GuidanceTable) -> Guidance:
-    sizes = {n: _size(f"[guidance] {n}", getattr(table, n), "m") for n in ("lookahead", "acceptance")}
+    sizes = {n: _bounded(f"[guidance] {n}", getattr(table, n), "m") for n in ("lookahead", "acceptance")}
     integral = si_of("[guidance] integral", table.integral, "m/s")
     steepest = si_of("[guidance] steepest", table.steepest, "rad")
     if not 0 <= integral <= LIMITS.high:
@@ -338,14 +349,14 @@ def _check_apart(kind: str, points: np.ndarray) -> None:
         )
 
 
-def _place(i: int, point: WaypointTable) -> list[float]:
+def _waypoint(i: int, point: WaypointTable) -> list[float]:
     found = [si_of(f"way-point {i} {n}", getattr(point, n), MOTION_UNITS[n]) for n in "xyz"]
     if max(map(abs, found)) > LIMITS.size:
         raise UndertowError(f"way-point {i} is beyond {LIMITS.size:g} m: check the unit")
     return found
 
 
-def _size(what: str, stated: Quantity, unit: str) -> float:
+def _bounded(what: str, stated: Quantity, unit: str) -> float:
     value = si_of(what, stated, unit)
     if not LIMITS.low <= value <= LIMITS.high:
         raise UndertowError(f"{what} = {stated}: give one from {LIMITS.low:g} to {LIMITS.high:g} {unit}")

@@ -18,7 +18,7 @@ from undertow.model.symbols import POSE
 
 
 @dataclass(frozen=True)
-class Number:
+class MissionNumber:
     """A number of a mission as generated code holds it."""
 
     name: str
@@ -38,13 +38,13 @@ class Kinematics:
     J_inverse: ca.SX
     J_dot: ca.SX
 
-    def place(self, name: str) -> int:
+    def index(self, name: str) -> int:
         """Where a coordinate stands."""
         return self.names.index(name)
 
 
 @dataclass(frozen=True)
-class Course:
+class DesiredMotion:
     """Desired motion at a sample."""
 
     eta_d: ca.SX  # (n, 1): desired pose, m and rad
@@ -62,7 +62,7 @@ class Followed:
     errors: dict[str, np.ndarray]
     arrived: np.ndarray  # (n,): where the end of the mission has been reached
     # (k, 2): where it leads in the plane, north and east, m: way-points, or the curve over the rows
-    way: np.ndarray
+    path: np.ndarray
 
 
 class Reference(abc.ABC):
@@ -72,14 +72,14 @@ class Reference(abc.ABC):
     # whether its states have rates, so that a law may act without sampling
     continuous: ClassVar[bool] = False
     # velocities that the law takes as zero: nothing pushes there, and in a current they are the water's
-    unheld: tuple[str, ...] = ()
+    uncontrolled: tuple[str, ...] = ()
     # start, end: (n,): pose where it begins and where it ends, m and rad
     start: np.ndarray
     end: np.ndarray
 
     @property
     @abc.abstractmethod
-    def numbers(self) -> list[Number]:
+    def numbers(self) -> list[MissionNumber]:
         """The numbers of the mission, r of the controller."""
 
     @abc.abstractmethod
@@ -87,7 +87,7 @@ class Reference(abc.ABC):
         """States at the start."""
 
     @abc.abstractmethod
-    def course(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Course:
+    def desired(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> DesiredMotion:
         """What is asked for in these states."""
 
     @abc.abstractmethod
@@ -107,10 +107,10 @@ class ReferenceSettings:
     """The numbers of references."""
 
     # A reference is evaluated piece by piece in generated C: more than this is a table, not a mission.
-    most_pieces: int = 400
+    max_pieces: int = 400
     # The ends of a spline begin and end at rest: so much longer than at full speed (a quintic from rest to
     # rest has 1.875 times its mean speed at most; one end of it has about half of that).
-    ends: float = 1.4
+    end_factor: float = 1.4
 
 
 SETTINGS = ReferenceSettings()
@@ -163,9 +163,9 @@ class Profile:
 
     def largest(self, order: int, angles: bool = False) -> float:
         """Largest magnitude of a derivative of the position, or of any angle; by the roots of its slope."""
-        return max(self.sizes(order, angles), default=0.0)
+        return max(self.peaks(order, angles), default=0.0)
 
-    def sizes(self, order: int, angles: bool = False) -> list[float]:
+    def peaks(self, order: int, angles: bool = False) -> list[float]:
         """The same for every piece."""
         own = [i for i, n in enumerate(self.names) if (POSE.index(n) >= 3) == angles]
         found = []
@@ -175,7 +175,7 @@ class Profile:
             found.append(math.sqrt(max((_peak(g, length) for g in groups), default=0.0)))
         return found
 
-    def slower(self, factor: float) -> Profile:
+    def stretched(self, factor: float) -> Profile:
         """The same path in `factor` times the time."""
         scale = factor ** -np.arange(_ORDER)
         return Profile(self.names, self.knots * factor, self.coefficients * scale, self.end)
@@ -210,7 +210,7 @@ def straight_legs(
     for begin, end in pairwise(poses):
         pieces += _rest_to_rest(names, begin, end - begin, limits)
         if hold:
-            pieces.append((hold, _line(end, np.zeros_like(end), ())))
+            pieces.append((hold, _line_coefficients(end, np.zeros_like(end), ())))
     if not pieces:
         raise UndertowError("the way-points of the mission are all the same pose: give two that differ")
     knots = np.cumsum([0.0, *(length for length, _ in pieces)])
@@ -221,32 +221,32 @@ def _rest_to_rest(
     names: tuple[str, ...], begin: np.ndarray, move: np.ndarray, limits: Limits
 ) -> list[tuple[float, np.ndarray]]:
     """Pieces in the share of the way, 0 to 1: faster, steady, slower."""
-    rate, growth = _share_limits(names, move, limits)
+    rate, acceleration = _way_limits(names, move, limits)
     if not math.isfinite(rate):
         return []
-    ramp = 1.5 * rate / growth  # the acceleration 6 v tau (1 - tau) / T is largest halfway, 1.5 v / T
+    ramp = 1.5 * rate / acceleration  # the acceleration 6 v tau (1 - tau) / T is largest halfway, 1.5 v / T
     if rate * ramp > 1:
-        rate = math.sqrt(growth / 1.5)
+        rate = math.sqrt(acceleration / 1.5)
         ramp = 1 / rate
     up, half = (rate / ramp**2, -rate / (2 * ramp**3)), rate * ramp / 2
     steady = max((1 - 2 * half) / rate, 0.0)
-    found = [(ramp, _line(begin, move, (0.0, 0.0, 0.0, *up)))]
+    found = [(ramp, _line_coefficients(begin, move, (0.0, 0.0, 0.0, *up)))]
     if steady:
-        found.append((steady, _line(begin, move, (half, rate))))
-    return [*found, (ramp, _line(begin, move, (1 - half, rate, 0.0, -up[0], -up[1])))]
+        found.append((steady, _line_coefficients(begin, move, (half, rate))))
+    return [*found, (ramp, _line_coefficients(begin, move, (1 - half, rate, 0.0, -up[0], -up[1])))]
 
 
-def _share_limits(names: tuple[str, ...], move: np.ndarray, limits: Limits) -> tuple[float, float]:
+def _way_limits(names: tuple[str, ...], move: np.ndarray, limits: Limits) -> tuple[float, float]:
     """Largest rate and acceleration of the share of a way."""
     is_angle = np.array([POSE.index(n) >= 3 for n in names])
-    far = float(np.linalg.norm(move[~is_angle]))
+    distance = float(np.linalg.norm(move[~is_angle]))
     turn = float(np.abs(move[is_angle]).max(initial=0.0))
-    sizes = [(far, limits.of(False)), (turn, limits.of(True))]
-    pairs = [(rate / size, growth / size) for size, (rate, growth) in sizes if size > 0]
+    sizes = [(distance, limits.of(False)), (turn, limits.of(True))]
+    pairs = [(rate / size, acceleration / size) for size, (rate, acceleration) in sizes if size > 0]
     return tuple(min(column) for column in zip(*pairs, strict=True)) if pairs else (math.inf, math.inf)  # type: ignore[return-value]
 
 
-def _line(begin: np.ndarray, move: np.ndarray, share: Sequence[float]) -> np.ndarray:
+def _line_coefficients(begin: np.ndarray, move: np.ndarray, share: Sequence[float]) -> np.ndarray:
     """Coefficients of begin + share(t) move, shape (n, 6)."""
     found = np.zeros((len(begin), _ORDER))
     found[:, : len(share)] = np.outer(move, share)
@@ -266,29 +266,29 @@ def spline(names: tuple[str, ...], poses: np.ndarray, times: np.ndarray) -> Prof
     return _checked(Profile(names, knots - knots[0], coefficients, np.asarray(poses[-1])))
 
 
-def within(profile: Profile, limits: Limits) -> Profile:
+def fitted_to_limits(profile: Profile, limits: Limits) -> Profile:
     """The path of a profile, uniformly scaled in time until it just meets its limits."""
     factors = [0.0]
     for angles in (False, True):
-        rate, growth = limits.of(angles)
-        factors += [profile.largest(1, angles) / rate, math.sqrt(profile.largest(2, angles) / growth)]
+        rate, acceleration = limits.of(angles)
+        factors += [profile.largest(1, angles) / rate, math.sqrt(profile.largest(2, angles) / acceleration)]
     # Rounding of the roots must not take it past a limit.
-    return profile.slower(max(factors) * (1 + 1e-12))
+    return profile.stretched(max(factors) * (1 + 1e-12))
 
 
-def times_of(positions: np.ndarray, turns: np.ndarray, limits: Limits) -> np.ndarray:
+def waypoint_times(positions: np.ndarray, turns: np.ndarray, limits: Limits) -> np.ndarray:
     """Times of way-points at full speed along chords, the ends longer, shape (k,)."""
     lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1) / limits.speed
     lengths = np.maximum(lengths, np.abs(np.diff(turns)) / limits.turn_rate)
-    lengths[[0, -1]] *= SETTINGS.ends
+    lengths[[0, -1]] *= SETTINGS.end_factor
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
 def _checked(profile: Profile) -> Profile:
     pieces = len(profile.coefficients)
-    if pieces > SETTINGS.most_pieces:
+    if pieces > SETTINGS.max_pieces:
         raise UndertowError(
-            f"the mission has {pieces} pieces, but {SETTINGS.most_pieces} is the limit: split it in two"
+            f"the mission has {pieces} pieces, but {SETTINGS.max_pieces} is the limit: split it in two"
         )
     return profile
 
@@ -305,12 +305,12 @@ class TimedReference(Reference):
         self.start, self.end = profile.coefficients[0, :, 0], profile.end
 
     @property
-    def numbers(self) -> list[Number]:
+    def numbers(self) -> list[MissionNumber]:
         """Knots, then coefficients by piece, coordinate and power."""
         profile = self.profile
-        knots = [Number(f"time_{i}", "s", float(t)) for i, t in enumerate(profile.knots)]
+        knots = [MissionNumber(f"time_{i}", "s", float(t)) for i, t in enumerate(profile.knots)]
         return knots + [
-            Number(f"{name}_{i}_t{k}", f"{'m' if POSE.index(name) < 3 else 'rad'}/s^{k}", float(value))
+            MissionNumber(f"{name}_{i}_t{k}", f"{'m' if POSE.index(name) < 3 else 'rad'}/s^{k}", float(value))
             for i, piece in enumerate(profile.table)
             for name, row in zip(profile.names, piece, strict=True)
             for k, value in enumerate(row)
@@ -320,7 +320,7 @@ class TimedReference(Reference):
         """Time zero."""
         return [0.0]
 
-    def course(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Course:
+    def desired(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> DesiredMotion:
         """Pose, velocity and its rate at the time that s has come to."""
         count, n = len(self.profile.knots), len(self.profile.names)
         knots, table = r[:count], ca.reshape(r[count:], n * _ORDER, count)
@@ -329,9 +329,9 @@ class TimedReference(Reference):
         here[0] = 1 - after[1] if count > 1 else 1
         since = ca.fmax(s[0] - knots.T @ here, 0)
         own = ca.reshape(table @ here, _ORDER, n)
-        pose, rate, growth = (_horner(own, since, order) for order in range(3))
+        pose, rate, acceleration = (_horner(own, since, order) for order in range(3))
         nu_r = kin.J_inverse @ rate
-        return Course(pose, nu_r, kin.J_inverse @ (growth - kin.J_dot @ nu_r))
+        return DesiredMotion(pose, nu_r, kin.J_inverse @ (acceleration - kin.J_dot @ nu_r))
 
     def advance(self, r: ca.SX, s: ca.SX, kin: Kinematics, dt: ca.SX) -> ca.SX:
         """The clock goes on."""
@@ -340,12 +340,12 @@ class TimedReference(Reference):
     def followed(self, t: np.ndarray, state: dict[str, np.ndarray], s: np.ndarray) -> Followed:
         """Desired pose over rows, and whether its end is reached there."""
         desired = dict(zip(self.profile.names, self.profile.at(t).T, strict=True))
-        errors = {n: _short(n, desired[n] - state[n]) for n in self.profile.names}
-        way = np.column_stack([desired["x"], desired["y"]])
-        return Followed(desired, errors, t >= self.profile.duration, way)
+        errors = {n: _wrapped(n, desired[n] - state[n]) for n in self.profile.names}
+        path = np.column_stack([desired["x"], desired["y"]])
+        return Followed(desired, errors, t >= self.profile.duration, path)
 
 
-def _short(name: str, error: np.ndarray) -> np.ndarray:
+def _wrapped(name: str, error: np.ndarray) -> np.ndarray:
     """An error, the short way round for an angle."""
     return np.remainder(error + np.pi, 2 * np.pi) - np.pi if POSE.index(name) >= 3 else error
 

@@ -24,7 +24,7 @@ class AnalysisSettings:
 
     rank: float = 1e-9  # singular values below this part of the largest are rounding
     rounding: float = 1e-14  # entries of a sampled A less the identity up to this are rounding
-    reached: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
+    reach_tolerance: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
     # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
     share: float = 0.1
     at_zero: float = 1e-10  # real parts up to this do not grow, 1/s
@@ -86,24 +86,24 @@ def _rate(pole: complex, dt: float) -> complex:
     return cmath.log(pole) / dt if pole else complex(-inf)
 
 
-def period(system: ct.StateSpace) -> float:
+def sampling_time(system: ct.StateSpace) -> float:
     """Sampling time of a system, s; 0 if it is continuous."""
     return float(system.dt or 0.0)
 
 
 def slopes(system: ct.StateSpace) -> Array:
     """A, or (A - 1)/dt of a sampled system, which has the same subspaces, and rates of change."""
-    dt = period(system)
+    dt = sampling_time(system)
     return np.asarray((system.A - np.eye(system.nstates)) / dt if dt else system.A)
 
 
 def at_frequencies(system: ct.StateSpace, omega: Array) -> NDArray[np.complex128]:
     """Where a system is evaluated for frequencies in rad/s: on the axis, or on the unit circle."""
-    dt = period(system)
+    dt = sampling_time(system)
     return np.asarray(np.exp(1j * omega * dt) if dt else 1j * omega)
 
 
-def like(system: ct.StateSpace, a: Array, b: Array, c: Array, d: Array) -> ct.StateSpace:
+def with_timebase(system: ct.StateSpace, a: Array, b: Array, c: Array, d: Array) -> ct.StateSpace:
     """A system with the sampling time of another one."""
     return ct.ss(a, b, c, d, dt=system.dt)
 
@@ -115,7 +115,7 @@ def modes(system: ct.StateSpace) -> list[Mode]:
     """
     names, kept = system.state_labels, list(range(system.nstates))
     found: list[tuple[complex, tuple[str, ...]]] = []
-    a, dt = slopes(system), period(system)
+    a, dt = slopes(system), sampling_time(system)
     zero = SETTINGS.rounding / dt if dt else 0.0
     while True:
         idle = [i for i in kept if not np.any(np.abs(a[kept, i]) > zero)]
@@ -132,20 +132,20 @@ def _modes(a: Array, names: list[str]) -> list[tuple[complex, tuple[str, ...]]]:
     if not names:
         return []
     poles, right = np.linalg.eig(a)
-    part = np.abs(right * np.linalg.pinv(right).T)
-    part = part / part.max(axis=0, initial=SETTINGS.rank)
+    participation = np.abs(right * np.linalg.pinv(right).T)
+    participation = participation / participation.max(axis=0, initial=SETTINGS.rank)
     scale = float(np.max(np.abs(poles)))
     result = []
     for k, pole in enumerate(poles):
         if pole.imag < -SETTINGS.rank * scale:
             continue
-        taking = sorted(range(len(names)), key=lambda i: -part[i, k])
-        own = tuple(names[i] for i in taking if part[i, k] > SETTINGS.share)
-        result.append((_clean(complex(pole), scale), own))
+        order = sorted(range(len(names)), key=lambda i: -participation[i, k])
+        states = tuple(names[i] for i in order if participation[i, k] > SETTINGS.share)
+        result.append((_without_rounding(complex(pole), scale), states))
     return result
 
 
-def _clean(pole: complex, scale: float) -> complex:
+def _without_rounding(pole: complex, scale: float) -> complex:
     """A pole without the noise of rounding."""
     real, imaginary = (0.0 if abs(v) < SETTINGS.rank * scale / 10 else v for v in (pole.real, pole.imag))
     return complex(real, imaginary)
@@ -153,7 +153,7 @@ def _clean(pole: complex, scale: float) -> complex:
 
 # --- what can be moved and seen --------------------------------------------------------------
 @dataclass(frozen=True)
-class Reach:
+class Subspace:
     """The controllable subspace, or, for the transposed system, the observable one."""
 
     rank: int  # dimension of what can be reached
@@ -164,50 +164,54 @@ class Reach:
     singular: tuple[float, ...]  # singular values of the Gramian over that time, the largest first, SI
 
 
-def controllability(system: ct.StateSpace) -> Reach:
+def controllability(system: ct.StateSpace) -> Subspace:
     """States that the inputs can move."""
-    return _reach(system, slopes(system), system.B)
+    return _subspace(system, slopes(system), system.B)
 
 
-def observability(system: ct.StateSpace) -> Reach:
+def observability(system: ct.StateSpace) -> Subspace:
     """States that the outputs show."""
-    return _reach(system, slopes(system).T, system.C.T)
+    return _subspace(system, slopes(system).T, system.C.T)
 
 
-def _reach(system: ct.StateSpace, a: Array, b: Array) -> Reach:
-    names, dt = system.state_labels, period(system)
-    basis = reached(a, b)
+def _subspace(system: ct.StateSpace, a: Array, b: Array) -> Subspace:
+    names, dt = system.state_labels, sampling_time(system)
+    basis = reachable_basis(a, b)
     others = np.eye(len(names)) - basis @ basis.T
-    missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reached]
-    lost = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
+    missing = [
+        n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reach_tolerance
+    ]
+    mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
     horizon = _horizon(system)
-    moved = sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
-    singular = np.linalg.svd(moved, compute_uv=False)
-    mixed = tuple(n for n in lost if n not in missing)
-    return Reach(basis.shape[1], len(names), tuple(missing), mixed, horizon, tuple(map(float, singular)))
+    gramian_of_range = (
+        sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
+    )
+    singular = np.linalg.svd(gramian_of_range, compute_uv=False)
+    mixed = tuple(n for n in mixed_states if n not in missing)
+    return Subspace(basis.shape[1], len(names), tuple(missing), mixed, horizon, tuple(map(float, singular)))
 
 
-def reached(a: Array, b: Array) -> Array:
+def reachable_basis(a: Array, b: Array) -> Array:
     """An orthonormal basis of the states that inputs can reach, shape (n, rank)."""
     scale = np.linalg.norm(a) or 1.0
-    new = basis = _independent(b / (np.linalg.norm(b) or 1.0))
+    new = basis = _range_basis(b / (np.linalg.norm(b) or 1.0))
     while new.shape[1] and basis.shape[1] < len(a):
         ahead = a @ new / scale
         for _ in range(2):  # once is not enough for the last digits
             ahead = ahead - basis @ (basis.T @ ahead)
-        new = _independent(ahead)
+        new = _range_basis(ahead)
         basis = np.hstack([basis, new])
     return basis
 
 
-def _independent(columns: Array) -> Array:
+def _range_basis(columns: Array) -> Array:
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular > SETTINGS.rank]
 
 
 def _horizon(system: ct.StateSpace) -> float:
     """The slowest time constant that decays, s."""
-    rates = [_rate(p, period(system)).real for p in np.linalg.eigvals(system.A)]
+    rates = [_rate(p, sampling_time(system)).real for p in np.linalg.eigvals(system.A)]
     decaying = [-1 / r for r in rates if r < -1e-6]
     return float(max(decaying, default=10.0))
 
@@ -241,9 +245,9 @@ def sampled_gramian(a: Array, b: Array, samples: float) -> Array:
 def minimal(system: ct.StateSpace) -> ct.StateSpace:
     """The controllable and observable part of a system, in other states."""
     by_rate = slopes(system)
-    basis = reached(by_rate, system.B)
-    shown = basis @ reached(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
-    return like(system, shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown, system.D)
+    basis = reachable_basis(by_rate, system.B)
+    shown = basis @ reachable_basis(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
+    return with_timebase(system, shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown, system.D)
 
 
 # --- one channel ------------------------------------------------------------------------------
@@ -257,7 +261,7 @@ def zeros_of(system: ct.StateSpace) -> list[complex]:
     if not system.nstates:
         return []
     found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < 1e8]
-    return sorted((_clean(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
+    return sorted((_without_rounding(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
 
 
 @dataclass(frozen=True)
@@ -283,7 +287,7 @@ def margins(loop: ct.StateSpace) -> Margins:
     if not loop.nstates or not np.any(loop.B):
         return _NO_LOOP
     gains, phases, distances, crossings = _crossings(loop)
-    stable = _closes_stably(loop)
+    stable = _closed_loop_stable(loop)
     low, high = SETTINGS.factors
     factors = [float(g) for g in gains if low < abs(g) < high]
     delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
@@ -300,7 +304,7 @@ def margins(loop: ct.StateSpace) -> Margins:
 
 def _crossings(loop: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
     """Gains, phases and distances where one of them is least, and frequencies of the phases, rad/s."""
-    dt = period(loop)
+    dt = sampling_time(loop)
     if not dt:
         gains, phases, distances, _, crossings, _ = ct.stability_margins(loop, returnall=True)
         return gains, phases, distances, crossings
@@ -312,12 +316,12 @@ def _crossings(loop: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
     return gains, phases, np.append(distances, abs(1 + end)), crossings
 
 
-def _closes_stably(loop: ct.StateSpace) -> bool:
+def _closed_loop_stable(loop: ct.StateSpace) -> bool:
     closed = ct.feedback(loop, np.eye(loop.noutputs))
-    return all(_rate(complex(p), period(loop)).real <= SETTINGS.at_zero for p in closed.poles())
+    return all(_rate(complex(p), sampling_time(loop)).real <= SETTINGS.at_zero for p in closed.poles())
 
 
-def disk_margin_of_all(loop: ct.StateSpace) -> float:
+def multiloop_disk_margin(loop: ct.StateSpace) -> float:
     """Disk margin without skew of all loops at once: each may vary within a disk of this size by itself.
 
     python-control takes the upper bound of the structured singular value from SLICOT. Zero where the closed
@@ -327,13 +331,13 @@ def disk_margin_of_all(loop: ct.StateSpace) -> float:
         raise UndertowError(
             f"the disk margin of {loop.ninputs} loops at once needs slycot: pip install 'undertow[slycot]'"
         )
-    if not _closes_stably(loop):
+    if not _closed_loop_stable(loop):
         return 0.0
-    return _least(loop, lambda omega: float(disks_of_all(loop, np.array([omega]))[0]))
+    return _least_disk(loop, lambda omega: float(multiloop_disks(loop, np.array([omega]))[0]))
 
 
-def disks_of_all(loop: ct.StateSpace, omega: Array) -> Array:
-    """The disk at each frequency, rad/s, whose minimum is `disk_margin_of_all`."""
+def multiloop_disks(loop: ct.StateSpace, omega: Array) -> Array:
+    """The disk at each frequency, rad/s, whose minimum is `multiloop_disk_margin`."""
     return np.atleast_1d(ct.disk_margins(loop, omega, returnall=True)[0])
 
 
@@ -347,10 +351,12 @@ def disks(gain: NDArray[np.complex128]) -> Array:
 
 def _disk_margin(loop: ct.StateSpace) -> float:
     """The least disk over all frequencies."""
-    return _least(loop, lambda omega: float(disks(np.squeeze(loop(at_frequencies(loop, np.array(omega)))))))
+    return _least_disk(
+        loop, lambda omega: float(disks(np.squeeze(loop(at_frequencies(loop, np.array(omega))))))
+    )
 
 
-def _least(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:
+def _least_disk(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:
     """The least disk over all frequencies; far beyond the last one it is 2."""
     omega = frequencies([loop, ct.feedback(loop, np.eye(loop.noutputs))])  # crossovers are at its poles
 
@@ -365,7 +371,7 @@ def _least(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:
 
 
 @dataclass(frozen=True)
-class Line:
+class Curve:
     """One curve, of shape (n,)."""
 
     name: str
@@ -375,18 +381,18 @@ class Line:
 
 def frequencies(systems: list[ct.StateSpace]) -> Array:
     """Frequencies around the poles of systems, rad/s, shape (n,)."""
-    sizes = [abs(_rate(complex(p), period(s))) for s in systems for p in s.poles()]
+    sizes = [abs(_rate(complex(p), sampling_time(s))) for s in systems for p in s.poles()]
     sizes = [size for size in sizes if 1e-4 < size < inf]
     low, high = min(sizes, default=0.1), max(sizes, default=10.0)
     # From half the sampling frequency on the response repeats; rounding may not go beyond it.
-    half = [(1 - SETTINGS.rank) * np.pi / period(s) for s in systems if period(s)]
+    half = [(1 - SETTINGS.rank) * np.pi / sampling_time(s) for s in systems if sampling_time(s)]
     end = min(half, default=high * 10**SETTINGS.decades)
     return np.geomspace(min(low, end) * 10**-SETTINGS.decades, end, SETTINGS.points)
 
 
-def response(name: str, system: ct.StateSpace, omega: Array) -> Line:
+def response(name: str, system: ct.StateSpace, omega: Array) -> Curve:
     """The frequency response of a system with one input and one output."""
-    return Line(name, omega, np.asarray(system(at_frequencies(system, omega))).ravel())
+    return Curve(name, omega, np.asarray(system(at_frequencies(system, omega))).ravel())
 
 
 def singular_values(system: ct.StateSpace, omega: Array) -> Array:
@@ -401,12 +407,12 @@ def duration(systems: list[ct.StateSpace]) -> float:
     return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
-def step(name: str, system: ct.StateSpace, seconds: float) -> Line:
+def step(name: str, system: ct.StateSpace, seconds: float) -> Curve:
     """The unit step response of a system with one input and one output."""
-    dt = period(system)
+    dt = sampling_time(system)
     times = np.arange(ceil(seconds / dt) + 1) * dt if dt else np.linspace(0.0, seconds, SETTINGS.points)
     t, y = ct.step_response(system, times, squeeze=True)
-    return Line(name, np.asarray(t), np.asarray(y).ravel())
+    return Curve(name, np.asarray(t), np.asarray(y).ravel())
 
 
 def locus(system: ct.StateSpace) -> NDArray[np.complex128]:

@@ -33,7 +33,7 @@ class DesignSettings:
 
     # Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
     integral_time: float = 5.0
-    longer: float = 2.0  # factor on this time as often as the conditions on gains fail
+    integral_time_factor: float = 2.0  # factor on this time as often as the conditions on gains fail
     rounds: int = 12  # most trials
     # Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
     weights: tuple[float, float] = (1e-9, 1e9)
@@ -134,7 +134,7 @@ def lqr(
     found = trim or find_trim(vehicle)
     channels = _Channels(vehicle, found, error, force)
     for slowed in range(SETTINGS.rounds):
-        integral_time = SETTINGS.integral_time * SETTINGS.longer**slowed
+        integral_time = SETTINGS.integral_time * SETTINGS.integral_time_factor**slowed
         gains, coupling = channels.gains(law, integral_time, name)
         certified = None if conditions is None else conditions(gains)
         if certified is not False or law == "pd":
@@ -145,11 +145,11 @@ def lqr(
             "more error"
         )
     loop = close_loop(vehicle, gains, found)
-    _check_held(loop)
+    _check_stable(loop)
     return Design(gains, loop, coupling, slowed, certified)
 
 
-def _check_held(loop: LinearLoop) -> None:
+def _check_stable(loop: LinearLoop) -> None:
     growing = [m for m in modes(loop.closed) if not m.stable]
     if growing:
         raise UndertowError(
@@ -166,11 +166,11 @@ class _Channels:
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
         plant = with_forces(_ideal_plant(vehicle, trim), forces_of(vehicle))
-        pushed = [name.removeprefix("force_") for name in plant.input_labels]
-        if not pushed:
+        actuated = [name.removeprefix("force_") for name in plant.input_labels]
+        if not actuated:
             remedy = remedy_for_curves(vehicle) or f"'{vehicle.name}' has no thruster: add one"
             raise UndertowError(f"there is nothing to design: {remedy}")
-        self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in pushed]
+        self.rows = [i for i, d in enumerate(vehicle.degrees_of_freedom) if d in actuated]
         self.coordinates = [vehicle.pose_names[i] for i in self.rows]
         dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
         self._error = _positive("error", error, self.coordinates)
@@ -189,15 +189,15 @@ class _Channels:
         parts = [optimal[:, i * n : (i + 1) * n] for i in range(optimal.shape[1] // n)]
         largest = max(_coupling(part) for part in parts)
         names = [g.name for g in LAWS[law].gains]
-        values = {gain: self._everywhere(np.diag(part)) for gain, part in zip(names, parts, strict=True)}
+        values = {gain: self._equal_in_plane(np.diag(part)) for gain, part in zip(names, parts, strict=True)}
         return self._as_gains(law, values, name), largest
 
-    def _everywhere(self, diagonal: Array) -> dict[str, float]:
+    def _equal_in_plane(self, diagonal: Array) -> dict[str, float]:
         """A gain by coordinate, the same in x and y: they are axes of the earth, and the vehicle turns."""
         values = dict(zip(self.coordinates, map(float, diagonal), strict=True))
-        pushed = [values[c] for c in _HORIZONTAL if c in values]
-        level = [c for c in self.vehicle.pose_names if c in _HORIZONTAL and pushed]
-        return values | dict.fromkeys(level, max(pushed, default=0.0))
+        actuated = [values[c] for c in _HORIZONTAL if c in values]
+        level = [c for c in self.vehicle.pose_names if c in _HORIZONTAL and actuated]
+        return values | dict.fromkeys(level, max(actuated, default=0.0))
 
     def _optimal(self, rate: float | None) -> Array:
         """The full optimal gain in errors, velocities and, with a rate in 1/s, integrals of the errors."""
@@ -217,9 +217,9 @@ class _Channels:
             gain.name: {c: f"{value:.6g} {gain.unit(c)}" for c, value in values[gain.name].items()}
             for gain in LAWS[law].gains
         }
-        silent = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
+        unactuated = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
         content = {"schema": "undertow/gains/1", "name": name, "law": law, "gains": gains}
-        return gains_from_table(GainTable.model_validate(content | {"unactuated": silent}), self.vehicle)
+        return gains_from_table(GainTable.model_validate(content | {"unactuated": unactuated}), self.vehicle)
 
 
 def _ideal_plant(vehicle: Vehicle, trim: Trim) -> ct.StateSpace:
@@ -235,9 +235,9 @@ def _coupling(part: Array) -> float:
 
 
 def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
-    odd = [n for n in given if n not in names]
-    if odd:
-        raise UndertowError(f"{what} of {odd[0]} has no effect: commands push in {', '.join(names)}")
+    unknown = [n for n in given if n not in names]
+    if unknown:
+        raise UndertowError(f"{what} of {unknown[0]} has no effect: commands push in {', '.join(names)}")
     for name in names:
         value = given.get(name)
         if value is None or not 0 < value < np.inf:
@@ -291,8 +291,8 @@ def lqg(
                     f"{what} of '{name}', which is not a state{near}: give {', '.join(states)}"
                 )
         _positive(what, given, list(given))
-    shown = ct.ss(plant.A, plant.B, plant.C[[_place(plant.output_labels, n) for n in noise]], 0)
-    kept = _kept(plant, shown)
+    shown = ct.ss(plant.A, plant.B, plant.C[[_output_index(plant.output_labels, n) for n in noise]], 0)
+    kept = _minimal_states(plant, shown)
     a, b, c = plant.A[np.ix_(kept, kept)], plant.B[kept], shown.C[:, kept]
     names = [plant.state_labels[i] for i in kept]
     q = np.diag([1 / weights[n] ** 2 if n in weights else 0.0 for n in names])
@@ -306,24 +306,24 @@ def lqg(
     return named(system, [f"{n}_hat" for n in names], list(noise), plant.input_labels, "lqg")
 
 
-def _place(labels: list[str], name: str) -> int:
+def _output_index(labels: list[str], name: str) -> int:
     if name not in labels:
         raise UndertowError(f"'{name}' is not an output of the linear system: it has {', '.join(labels)}")
     return labels.index(name)
 
 
-def _kept(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
+def _minimal_states(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
     """Controllable and observable states; all others must be stable."""
     named_shown = named(
         shown, plant.state_labels, plant.input_labels, [str(i) for i in range(shown.noutputs)], ""
     )
     lost = {*controllability(plant).missing, *observability(named_shown).missing}
-    left = [i for i, n in enumerate(plant.state_labels) if n in lost]
-    poles = np.linalg.eigvals(plant.A[np.ix_(left, left)]) if left else np.empty(0)
+    removed = [i for i, n in enumerate(plant.state_labels) if n in lost]
+    poles = np.linalg.eigvals(plant.A[np.ix_(removed, removed)]) if removed else np.empty(0)
     if np.any(poles.real > SETTINGS.decays):
-        names = ", ".join(plant.state_labels[i] for i in left)
+        names = ", ".join(plant.state_labels[i] for i in removed)
         raise UndertowError(
             f"no LQG design: {names} are not controllable or not observable, and not stable by themselves: "
             "use another trim or more sensors"
         )
-    return [i for i in range(plant.nstates) if i not in left]
+    return [i for i in range(plant.nstates) if i not in removed]

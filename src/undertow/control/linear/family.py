@@ -29,7 +29,7 @@ _STEP = 1e-3  # of finite differences, standard deviations
 
 
 @dataclass(frozen=True)
-class Spread:
+class ParameterCovariance:
     """Uncertainty of parameters."""
 
     names: tuple[str, ...]  # parameters, in the order of the covariance
@@ -57,7 +57,7 @@ class Member:
 class Family:
     """The linear systems within the uncertainty of an identification."""
 
-    spread: Spread  # what they are drawn from
+    uncertainty: ParameterCovariance  # what they are drawn from
     members: tuple[Member, ...]  # the stated one, then corners, then draws
     refused: int  # draws that no vehicle can have (a negative mass, say) or without such a trim; redrawn
 
@@ -67,7 +67,7 @@ class Family:
         return [m for m in self.members if not m.stable]
 
 
-def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
+def parameter_covariance(vehicle: Vehicle, source: str | Path | None = None) -> ParameterCovariance:
     """Uncertainty of the parameters of a vehicle.
 
     Its stated standard deviations (sigma) count as independent. The covariance of the last fit in the history
@@ -81,20 +81,20 @@ def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
             f"no parameter of '{vehicle.name}' has a standard deviation: write, for instance, "
             'X_u = { value = ..., sigma = "..." }, or fit it to logs'
         )
-    whole = np.zeros((len(names) + len(used),) * 2)
-    whole[: len(names), : len(names)] = matrix
-    whole[len(names) :, len(names) :] = np.diag(np.square(list(used.values())))
+    total = np.zeros((len(names) + len(used),) * 2)
+    total[: len(names), : len(names)] = matrix
+    total[len(names) :, len(names) :] = np.diag(np.square(list(used.values())))
     words = [f"covariance of the last fit for {len(names)}"] if names else []
     words += [f"stated standard deviations of {len(used)}"] if used else []
-    return Spread((*names, *used), whole, " and ".join(words) + " parameters")
+    return ParameterCovariance((*names, *used), total, " and ".join(words) + " parameters")
 
 
 def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, ...], Array]:
     """Parameters and covariance of the last fit that the history of a file tells of; none if it has none."""
     names, matrix = last_covariance(read_vehicle_table(resolve_vehicle(source)).history, vehicle)
     kept = [i for i, n in enumerate(names) if n in vehicle.parameter_names]
-    whole = np.array(matrix, dtype=float).reshape(len(names), len(names))
-    return tuple(names[i] for i in kept), whole[np.ix_(kept, kept)]
+    total = np.array(matrix, dtype=float).reshape(len(names), len(names))
+    return tuple(names[i] for i in kept), total[np.ix_(kept, kept)]
 
 
 def family(
@@ -130,24 +130,32 @@ def family(
         Of the draws.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    factory, spread = _MemberFactory(vehicle, found, gains, observer, pade), spread_of(vehicle, source)
+    factory, uncertainty = (
+        _MemberFactory(vehicle, found, gains, observer, pade),
+        parameter_covariance(vehicle, source),
+    )
     stated = factory.member("stated", np.array([]), ())
     if stated is None:  # no parameter differs, so the trim holds
         raise UndertowError(f"'{vehicle.name}' does not have the given trim: find it again for this vehicle")
-    corners = [factory.member(name, shift, spread.names) for name, shift in _corners(spread, factory, stated)]
-    made = [m for m in corners if m is not None and not _same(m, stated)]
-    draws, refused = _draws(spread, factory, size, np.random.default_rng(seed))
-    return Family(spread, (stated, *made, *draws), refused)
+    corners = [
+        factory.member(name, shift, uncertainty.names)
+        for name, shift in _corners(uncertainty, factory, stated)
+    ]
+    made = [m for m in corners if m is not None and not _equals_stated(m, stated)]
+    draws, refused = _draws(uncertainty, factory, size, np.random.default_rng(seed))
+    return Family(uncertainty, (stated, *made, *draws), refused)
 
 
 def _draws(
-    spread: Spread, factory: _MemberFactory, size: int, random: np.random.Generator
+    uncertainty: ParameterCovariance, factory: _MemberFactory, size: int, random: np.random.Generator
 ) -> tuple[list[Member], int]:
     draws: list[Member] = []
     refused = 0
     while len(draws) < size:
-        shift = random.multivariate_normal(np.zeros(len(spread.names)), spread.covariance, method="eigh")
-        member = factory.member(f"draw {len(draws) + 1}", shift, spread.names, clip=False)
+        shift = random.multivariate_normal(
+            np.zeros(len(uncertainty.names)), uncertainty.covariance, method="eigh"
+        )
+        member = factory.member(f"draw {len(draws) + 1}", shift, uncertainty.names, clip=False)
         if member is not None:
             draws.append(member)
             continue
@@ -160,32 +168,36 @@ def _draws(
     return draws, refused
 
 
-def _same(member: Member, stated: Member) -> bool:
+def _equals_stated(member: Member, stated: Member) -> bool:
     """Whether a corner changes nothing: a parameter of the other direction of motion."""
     pairs = ((member.system.A, stated.system.A), (member.system.B, stated.system.B))
     return all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
 
 
-def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterator[tuple[str, Array]]:
-    sigmas = np.sqrt(np.diag(spread.covariance))
-    for i, name in enumerate(spread.names):
+def _corners(
+    uncertainty: ParameterCovariance, factory: _MemberFactory, stated: Member
+) -> Iterator[tuple[str, Array]]:
+    sigmas = np.sqrt(np.diag(uncertainty.covariance))
+    for i, name in enumerate(uncertainty.names):
         for sign, word in ((1, "+"), (-1, "-")):
             shift = np.zeros(len(sigmas))
             shift[i] = sign * CORNER * sigmas[i]
             yield f"{name} {word} {CORNER:g} sigma", shift
-    slope = _slope_of_slowest(spread, factory, stated, sigmas)
+    slope = _slope_of_slowest(uncertainty, factory, stated, sigmas)
     for sign, word in ((1, "slowest"), (-1, "quickest")):
         if np.any(slope):
             yield f"all together, {word}", sign * CORNER * sigmas * np.sign(slope)
 
 
-def _slope_of_slowest(spread: Spread, factory: _MemberFactory, stated: Member, sigmas: Array) -> Array:
+def _slope_of_slowest(
+    uncertainty: ParameterCovariance, factory: _MemberFactory, stated: Member, sigmas: Array
+) -> Array:
     """Change of the real part of the slowest mode that is not at zero, per standard deviation."""
     slope = np.zeros(len(sigmas))
     for i in range(len(sigmas)):
         small = np.zeros(len(sigmas))
         small[i] = _STEP * sigmas[i]
-        member = factory.member("", small, spread.names)
+        member = factory.member("", small, uncertainty.names)
         slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _STEP
     return slope
 
@@ -206,7 +218,7 @@ class _MemberFactory:
         self.vehicle, self._trim = vehicle, trim
         self._observer, self._pade = observer, pade
         self._numeric = Numeric(in_direction(vehicle, trim.direction))
-        self._balance = Balance(self._numeric, trim.wanted)
+        self._balance = Balance(self._numeric, trim.request)
         self._law = None if gains is None else law_for(gains, vehicle, trim.direction)
         f = self._numeric.functions
         self._mass = ca.Function("mass", [f.x, f.p, f.t], [ca.densify(f.mass_matrix)])
@@ -217,7 +229,7 @@ class _MemberFactory:
         Parameters beyond their physical bounds give no vehicle, unless they are clipped.
         """
         values = {n: self.vehicle.value_of(n).value + float(d) for n, d in zip(names, shift, strict=True)}
-        inside = {n: self._inside(n, v) for n, v in values.items()}
+        inside = {n: self._clipped(n, v) for n, v in values.items()}
         if inside != values and not clip:
             return None
         p = self._parameters(inside)
@@ -247,7 +259,7 @@ class _MemberFactory:
             return linear_at(self._numeric, trim, p)
         return linear_with_delays(self._numeric, trim, self._pade, p=p)
 
-    def _inside(self, name: str, value: float) -> float:
+    def _clipped(self, name: str, value: float) -> float:
         low, high = self.vehicle.declaration(name).bounds
         return min(max(value, low), high)
 
@@ -256,14 +268,14 @@ class _MemberFactory:
         names, p = self._numeric.functions.parameter_names, self._numeric.p.copy()
         for name, value in values.items():
             split = name in self.vehicle.sides
-            way = self._trim.direction.get(motion_of(self.vehicle, name) or "") if split else None
-            for other in [name] if way is None else _both_ways(self.vehicle, name, way):
+            sign = self._trim.direction.get(motion_of(self.vehicle, name) or "") if split else None
+            for other in [name] if sign is None else _both_directions(self.vehicle, name, sign):
                 p[names.index(other)] = value
         return p
 
 
-def _both_ways(vehicle: Vehicle, name: str, way: int) -> list[str]:
-    """Parameters replaced by one of direction `way` if that is taken for both."""
+def _both_directions(vehicle: Vehicle, name: str, sign: int) -> list[str]:
+    """Parameters replaced by one of direction `sign` if that is taken for both."""
     parameter, own = vehicle.sides[name]
-    chosen = own == ("forward" if way > 0 else "backward")
+    chosen = own == ("forward" if sign > 0 else "backward")
     return [n for n, (p, _) in vehicle.sides.items() if p is parameter] if chosen else []

@@ -20,7 +20,7 @@ from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-_WAYS = {1: "forward", -1: "backward"}
+_DIRECTIONS = {1: "forward", -1: "backward"}
 
 
 class Numeric:
@@ -41,7 +41,7 @@ class Numeric:
         return units | {t.name: t.unit for t in self.vehicle.thrusters}
 
     @cached_property
-    def varies(self) -> bool:
+    def time_varying(self) -> bool:
         """Whether the forces depend explicitly on time."""
         f = self.functions
         return bool(ca.jacobian(ca.vertcat(f.x_dot, f.reported), f.t).nnz())
@@ -107,10 +107,10 @@ def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
     UndertowError
         If a velocity is none of the vehicle's, or a direction is neither 1 nor -1.
     """
-    for name, way in direction.items():
-        if name not in vehicle.velocity_names or way not in _WAYS:
+    for name, sign in direction.items():
+        if name not in vehicle.velocity_names or sign not in _DIRECTIONS:
             raise UndertowError(
-                f"direction {name}={way} is impossible: give 1 or -1 for one of "
+                f"direction {name}={sign} is impossible: give 1 or -1 for one of "
                 f"{', '.join(vehicle.velocity_names)}"
             )
     chosen = {}
@@ -118,7 +118,7 @@ def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
         motion = motion_of(vehicle, name) or ""
         if motion in direction and name in vehicle.sides:
             parameter, _ = vehicle.sides[name]
-            chosen[name] = vehicle.values[f"{parameter.name}_{_WAYS[direction[motion]]}"]
+            chosen[name] = vehicle.values[f"{parameter.name}_{_DIRECTIONS[direction[motion]]}"]
     return vehicle.with_values(chosen)
 
 
@@ -139,12 +139,12 @@ def with_ideal_thrust(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if not isinstance(e, Actuation)))
 
 
-_LOOK = "look for a value in the vehicle, the gains or the options that is wrong by powers of ten"
+_REMEDY = "look for a value in the vehicle, the gains or the options that is wrong by powers of ten"
 
 
 @contextmanager
 def as_input_error(
-    what: str = "linear algebra fails on these numbers", remedy: str = _LOOK, *more: type[Exception]
+    what: str = "linear algebra fails on these numbers", remedy: str = _REMEDY, *more: type[Exception]
 ) -> Iterator[None]:
     """Report failures of NumPy, SciPy and python-control (and `more` exceptions) as an error in the input."""
     try:

@@ -14,13 +14,13 @@ from undertow.figures import BEFORE, COLOURS, FAINT, INK, figure, look, plain, u
 from undertow.typing import Array
 
 from .analysis import (
-    Line,
+    Curve,
     disks,
-    disks_of_all,
     duration,
     frequencies,
     locus,
     modes,
+    multiloop_disks,
     response,
     singular_values,
     step,
@@ -43,20 +43,20 @@ def picture(kind: str, found: Analysis, channels: Sequence[Channel]) -> Figure:
         **{"bode": _bode, "nyquist": _nyquist, "nichols": _nichols, "singular-values": _singular_values},
         **{"disk-margins": _disk_margins, "step": _steps, "poles": _poles, "root-locus": _loci},
     }[kind]
-    alive = [c for c in channels if c.system.nstates]
+    connected = [c for c in channels if c.system.nstates]
     if not channels and kind != "poles":
         raise UndertowError(
             f"'{found.vehicle.name}' has no thruster, so only --plot poles works: add a thruster"
         )
-    if not alive and kind != "poles":
+    if not connected and kind != "poles":
         raise UndertowError(f"{channels[0].name} is not connected: choose another --input or --output")
     with look():
-        return draw(found, alive)
+        return draw(found, connected)
 
 
 def _title(found: Analysis, what: str) -> str:
     values = {**found.trim.states, **found.trim.commands}
-    held = [f"{n} = {values[n]:.4g}" for n in found.trim.wanted.given if values[n]]
+    held = [f"{n} = {values[n]:.4g}" for n in found.trim.request.stated if values[n]]
     what += f", sampled every {found.dt:g} s" if found.dt else ""
     law = f", {found.gains.name}" if found.gains else ""
     return plain(f"{found.vehicle.name}{law} ({', '.join(held) or 'hovering'}): {what}", 110)
@@ -67,11 +67,11 @@ def _bode(found: Analysis, channels: Sequence[Channel]) -> Figure:
     shown, axes = figure(6.0, 2, sharex=True)
     (size,), (angle,) = axes
 
-    def draw(line: Line, **style: Any) -> None:
+    def draw(line: Curve, **style: Any) -> None:
         size.semilogx(line.x, decibels(line.y), **style)
         angle.semilogx(line.x, _phase(line), **style)
 
-    omega, what, unit = _drawn(found, channels, draw)
+    omega, what, unit = _draw_responses(found, channels, draw)
     size.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
     angle.axhline(-180.0, color=FAINT, linewidth=0.8, linestyle=":")
     size.set_ylabel(f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
@@ -80,32 +80,34 @@ def _bode(found: Analysis, channels: Sequence[Channel]) -> Figure:
     return _titled(shown, axes, _title(found, what))
 
 
-def _opened(found: Analysis, channels: Sequence[Channel]) -> tuple[list[tuple[str, Any]], str, str]:
+def _systems(found: Analysis, channels: Sequence[Channel]) -> tuple[list[tuple[str, Any]], str, str]:
     """Systems by name, what they are, and the unit of their gain if it is one for all."""
     if found.loop and all(c.source in found.loop.references for c in channels):
         forces = dict(zip(found.loop.references, found.loop.forces, strict=True))
         wanted = dict.fromkeys(forces[c.source] for c in channels)
-        drawn = [(f, found.loop.cut(f)) for f in wanted]
+        drawn = [(f, found.loop.single_loop(f)) for f in wanted]
         return [(n, s) for n, s in drawn if s.nstates], "loop of each force, the others closed", "1"
-    units = {_per(found, c) for c in channels}
-    named = [(f"{c.name} [{_per(found, c)}]" if len(units) > 1 else c.name, c.system) for c in channels]
+    units = {_gain_unit(found, c) for c in channels}
+    named = [(f"{c.name} [{_gain_unit(found, c)}]" if len(units) > 1 else c.name, c.system) for c in channels]
     return named, "from input to output", next(iter(units)) if len(units) == 1 else "SI"
 
 
-def _per(found: Analysis, c: Channel) -> str:
+def _gain_unit(found: Analysis, c: Channel) -> str:
     top, below = found.units[c.output], found.units[c.source]
     return unit_text(
         "1" if top == below else f"({top})/({below})" if " " in below or "/" in top else f"{top}/{below}"
     )
 
 
-def _drawn(found: Analysis, channels: Sequence[Channel], draw: Callable[..., None]) -> tuple[Array, str, str]:
+def _draw_responses(
+    found: Analysis, channels: Sequence[Channel], draw: Callable[..., None]
+) -> tuple[Array, str, str]:
     """Let `draw` draw every response over its family; the frequencies, what they are, and the unit."""
-    systems, what, unit = _opened(found, channels)
+    systems, what, unit = _systems(found, channels)
     omega = _with_resonances([system for _, system in systems])
     lines = [response(name, system, omega) for name, system in systems]
     styles = _styles([line.y for line in lines])
-    for colour, style, line in zip(_cycle(len(systems)), styles, lines, strict=True):
+    for colour, style, line in zip(_colours(len(systems)), styles, lines, strict=True):
         for member in _members(found, line.name, channels):
             draw(response("", member, omega), color=colour, alpha=0.12, linewidth=0.7)
         draw(line, color=colour, linestyle=style, label=plain(line.name))
@@ -121,11 +123,11 @@ def _with_resonances(systems: Sequence[Any]) -> Array:
     return np.union1d(omega, near[(near > omega[0]) & (near < omega[-1])])
 
 
-def _styles(curves: Sequence[Any], alike: float = _DECIBEL) -> list[Any]:
+def _styles(curves: Sequence[Any], tolerance: float = _DECIBEL) -> list[Any]:
     """Line styles: dashes for a curve that lies on others everywhere, so that these are seen between them."""
     with np.errstate(divide="ignore", invalid="ignore"):
         covered = [
-            sum(bool(np.all(np.abs(np.log(one / own)) <= alike)) for one in curves[:i])
+            sum(bool(np.all(np.abs(np.log(one / own)) <= tolerance)) for one in curves[:i])
             for i, own in enumerate(curves)
         ]
     return [_DASHES[min(count, len(_DASHES) - 1)] for count in covered]
@@ -136,7 +138,7 @@ def decibels(values: Any) -> Any:
     return 20 * np.log10(np.maximum(np.abs(values), 1e-300))
 
 
-def _phase(line: Line) -> Any:
+def _phase(line: Curve) -> Any:
     phase = np.degrees(np.unwrap(np.angle(line.y)))
     # Whole turns are open: the last value is put where a proper system of low order has it.
     return phase - 360.0 * np.ceil((phase[-1] - 45.0) / 360.0)
@@ -147,12 +149,12 @@ def _nyquist(found: Analysis, channels: Sequence[Channel]) -> Figure:
     shown, axes = figure(5.6)
     axis = axes[0, 0]
 
-    def draw(line: Line, **style: Any) -> None:
+    def draw(line: Curve, **style: Any) -> None:
         axis.plot(line.y.real, line.y.imag, **style)
         if line.name:  # of the model itself the mirror image, too
             axis.plot(line.y.real, -line.y.imag, color=style["color"], linestyle=":", linewidth=0.9)
 
-    _, what, unit = _drawn(found, channels, draw)
+    _, what, unit = _draw_responses(found, channels, draw)
     turn = np.linspace(0.0, 2 * np.pi, 200)
     axis.plot([], [], color=INK, linewidth=0.9, linestyle=":", label="negative frequencies")
     axis.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.8, label="unit circle")
@@ -169,10 +171,10 @@ def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
     shown, axes = figure(5.6)
     axis = axes[0, 0]
 
-    def draw(line: Line, **style: Any) -> None:
+    def draw(line: Curve, **style: Any) -> None:
         axis.plot(_phase(line), decibels(line.y), **style)
 
-    _, what, unit = _drawn(found, channels, draw)
+    _, what, unit = _draw_responses(found, channels, draw)
     axis.plot(-180.0, 0.0, "+", color=INK, markersize=11, markeredgewidth=1.8, label="-180 deg, 0 dB")
     axis.set(xlabel="phase [deg]", ylabel=f"magnitude [dB re {unit}]" if unit else "magnitude [dB]")
     axis.xaxis.set_major_locator(_degrees())
@@ -181,13 +183,13 @@ def _nichols(found: Analysis, channels: Sequence[Channel]) -> Figure:
 
 def _singular_values(found: Analysis, channels: Sequence[Channel]) -> Figure:
     """Of all commands to all velocities together, or of all set-points to all coordinates."""
-    system = found.together(channels)
+    system = found.combined(channels)
     words = f"{_listed(system.input_labels)} to {_listed(system.output_labels)}"
     omega = _with_resonances([system])
     values = singular_values(system, omega)
     shown, axes = figure(4.6)
     axis = axes[0, 0]
-    drawn = zip(_cycle(len(values)), _styles(list(values)), values, strict=True)
+    drawn = zip(_colours(len(values)), _styles(list(values)), values, strict=True)
     for i, (colour, style, row) in enumerate(drawn, start=1):
         axis.semilogx(omega, decibels(row), color=colour, linestyle=style, label=f"singular value {i}")
     axis.axhline(0.0, color=FAINT, linewidth=0.8, linestyle=":")
@@ -200,19 +202,19 @@ def _disk_margins(found: Analysis, channels: Sequence[Channel]) -> Figure:
     loop = found.loop
     if loop is None:
         raise UndertowError("disk margins are those of a closed loop: state --gains")
-    systems = {f: loop.cut(f) for f in loop.forces}
+    systems = {f: loop.single_loop(f) for f in loop.forces}
     omega = _with_resonances([s for s in systems.values() if s.nstates])
     shown, axes = figure(4.6)
     axis = axes[0, 0]
     curves = [disks(response(force, system, omega).y) for force, system in systems.items()]
-    drawn = zip(_cycle(len(systems)), _styles(curves, _DISK), systems, curves, strict=True)
+    drawn = zip(_colours(len(systems)), _styles(curves, _DISK), systems, curves, strict=True)
     for colour, style, force, values in drawn:
         m = loop.margins[force]
         words = f"least {m.disk:.2f}" if m.stable else "unstable: no margin"
         axis.semilogx(omega, values, color=colour, linestyle=style, label=plain(f"{force}, {words}"))
-    if found.disk_of_all is not None:
-        values = disks_of_all(loop.acting, omega)
-        axis.semilogx(omega, values, "--", color=INK, label=f"all at once, least {found.disk_of_all:.2f}")
+    if found.multiloop_disk is not None:
+        values = multiloop_disks(loop.actuated_loop, omega)
+        axis.semilogx(omega, values, "--", color=INK, label=f"all at once, least {found.multiloop_disk:.2f}")
     axis.set(
         xlabel="frequency [rad/s]", ylabel="size of the disk [1]", xlim=(omega[0], omega[-1]), ylim=(0, None)
     )
@@ -227,7 +229,7 @@ def _listed(names: Sequence[str]) -> str:
 def _steps(found: Analysis, channels: Sequence[Channel]) -> Figure:
     seconds = duration([c.system for c in channels])
     shown, axes = figure(1.0 + 2.0 * len(channels), len(channels), sharex=True)
-    for axis, colour, c in zip(axes[:, 0], _cycle(len(channels)), channels, strict=True):
+    for axis, colour, c in zip(axes[:, 0], _colours(len(channels)), channels, strict=True):
         for member in found.members_of(c.source, c.output):
             line = step("", member, seconds)
             axis.plot(line.x, line.y.real, color=colour, alpha=0.15, linewidth=0.7)
@@ -250,11 +252,11 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
     shown, axes = figure(5.6)
     axis = axes[0, 0]
     if found.family:
-        poles = np.array([q for m in found.family.members for q in _both(m.modes)])
+        poles = np.array([q for m in found.family.members for q in _conjugate_poles(m.modes)])
         axis.plot(poles.real, poles.imag, ".", color=FAINT, markersize=3, alpha=0.5, label="family", zorder=1)
-    own = np.array(_both(found.modes))
+    own = np.array(_conjugate_poles(found.modes))
     axis.plot(own.real, own.imag, "x", color=INK, markersize=8, markeredgewidth=1.6, label="poles", zorder=3)
-    for colour, c in zip(_cycle(len(channels)), channels, strict=True):
+    for colour, c in zip(_colours(len(channels)), channels, strict=True):
         if c.zeros:
             at = np.array(c.zeros)
             axis.plot(
@@ -267,17 +269,17 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
                 label=f"zeros, {plain(c.name)}",
             )
     if not found.dt:
-        _stretch(axis, own)
-    _plane(axis, found.dt)
+        _logarithmic_axes(axis, own)
+    _stability_limit(axis, found.dt)
     return _titled(shown, axes, _title(found, "poles of the loop" if found.loop else "poles"))
 
 
-def _both(modes: Sequence[Any]) -> list[complex]:
+def _conjugate_poles(modes: Sequence[Any]) -> list[complex]:
     """Poles of modes, of pairs both."""
     return [q for m in modes for q in ({m.pole, m.pole.conjugate()})]
 
 
-def _stretch(axis: Any, poles: Any) -> None:
+def _logarithmic_axes(axis: Any, poles: Any) -> None:
     """Logarithmic axes, linear around zero, where poles are of very different size."""
     sizes = np.abs(poles[np.abs(poles) > 0])
     if sizes.size and sizes.max() > _SPREAD * sizes.min():
@@ -286,7 +288,7 @@ def _stretch(axis: Any, poles: Any) -> None:
         axis.set_yscale("symlog", linthresh=least)
 
 
-def _plane(axis: Any, dt: float = 0.0) -> None:
+def _stability_limit(axis: Any, dt: float = 0.0) -> None:
     """The stability limit: the imaginary axis, or the unit circle of z."""
     if dt:
         turn = np.linspace(0.0, 2 * np.pi, 400)
@@ -307,9 +309,9 @@ def _plane(axis: Any, dt: float = 0.0) -> None:
 
 # --- root locus -----------------------------------------------------------------------------------
 def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
-    drawn, what, _ = _opened(found, channels[:3])
+    drawn, what, _ = _systems(found, channels[:3])
     shown, axes = figure(1.0 + 3.6 * len(drawn), len(drawn))
-    for axis, colour, (name, system) in zip(axes[:, 0], _cycle(len(drawn)), drawn, strict=True):
+    for axis, colour, (name, system) in zip(axes[:, 0], _colours(len(drawn)), drawn, strict=True):
         paths = locus(system)
         axis.plot(paths.real, paths.imag, color=colour, linewidth=1.1)
         begin, end = system.poles(), np.asarray(system.zeros())
@@ -321,8 +323,8 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
         if found.dt:
             axis.set(xlim=(-1.6, 1.6), ylim=(-1.15, 1.15))
         else:
-            _frame(axis, now)
-        _plane(axis, found.dt)
+            _window(axis, now)
+        _stability_limit(axis, found.dt)
         axis.set_title(plain(name, 90))
         _legend(axis)
     shown.suptitle(_title(found, f"root locus, {what}"), x=0.01, ha="left", fontsize=10)
@@ -330,7 +332,7 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
     return shown
 
 
-def _frame(axis: Any, points: Any) -> None:
+def _window(axis: Any, points: Any) -> None:
     """A window around the relevant part: branches go to infinity."""
     wide = max(1.8 * float(np.max(np.abs(points), initial=0.0)), 1e-3)
     right = max(0.3 * wide, 1.5 * float(np.max(points.real, initial=0.0)))
@@ -351,7 +353,7 @@ def _members(found: Analysis, name: str, channels: Sequence[Channel]) -> list[An
     return found.members_of(name, None)
 
 
-def _cycle(count: int) -> list[str]:
+def _colours(count: int) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i in range(count)]
 
 

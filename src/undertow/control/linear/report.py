@@ -27,7 +27,7 @@ from undertow.typing import Array, Progress
 from .analysis import (
     Margins,
     Mode,
-    Reach,
+    Subspace,
     channel,
     controllability,
     margins,
@@ -75,7 +75,7 @@ class Analysis:
     family: Family | None = None
     observer: Design | None = None  # gives the law an estimate
     dt: float = 0.0  # sampling time, s; 0: continuous
-    together_too: bool = False  # whether the disk margin of all forces at once is asked for
+    multiloop_margin: bool = False  # whether the disk margin of all forces at once is asked for
 
     @cached_property
     def loop(self) -> LinearLoop | None:
@@ -112,11 +112,11 @@ class Analysis:
     def units(self) -> Mapping[str, str]:
         """Unit of everything that has a name."""
         own = Numeric(self.vehicle).units
-        forces = {f"force_{d}": "N" if i < 3 else "N m" for d, i in self._places.items()}
+        forces = {f"force_{d}": "N" if i < 3 else "N m" for d, i in self._dof_index.items()}
         return own | forces | {f"{n}_ref": own[n] for n in self.vehicle.pose_names}
 
     @property
-    def _places(self) -> dict[str, int]:
+    def _dof_index(self) -> dict[str, int]:
         return dict(zip(self.vehicle.degrees_of_freedom, self.vehicle.dof_indices, strict=True))
 
     def require_stable(self) -> None:
@@ -132,11 +132,11 @@ class Analysis:
 
     # --- channels -----------------------------------------------------------------------------
     @cached_property
-    def _wide(self) -> ct.StateSpace:
+    def _with_force_inputs(self) -> ct.StateSpace:
         """The system with every input that a channel may begin at."""
-        return self.system if self.loop else self._widened(self.plant)
+        return self.system if self.loop else self._add_force_inputs(self.plant)
 
-    def _widened(self, plant: ct.StateSpace) -> ct.StateSpace:
+    def _add_force_inputs(self, plant: ct.StateSpace) -> ct.StateSpace:
         return with_forces(plant, self._forces, commands=True)
 
     @cached_property
@@ -147,26 +147,26 @@ class Analysis:
         """The same channel of the members of the family; without an output the loop of a force."""
         members = self.family.members[1:_MOST_DRAWN] if self.family else ()
         if output is None:
-            return [m.loop.cut(source) for m in members if m.loop]
-        systems = [m.system if m.loop else self._widened(m.system) for m in members]
+            return [m.loop.single_loop(source) for m in members if m.loop]
+        systems = [m.system if m.loop else self._add_force_inputs(m.system) for m in members]
         return [channel(s, output, source) for s in systems]
 
     def channel(self, source: str, output: str) -> Channel:
         """The channel between an input and an output; "surge" is force_surge, "x" is x_ref."""
-        inputs = self._wide.input_labels
+        inputs = self._with_force_inputs.input_labels
         known = [n for n in (source, f"force_{source}", f"{source}_ref") if n in inputs]
         if not known:
             raise UndertowError(
                 f"'{source}' is not an input{nearest(source, inputs)}: it has {', '.join(inputs)}"
             )
-        _require_output("", output, self._wide.output_labels)
-        return Channel(known[0], output, channel(self._wide, output, known[0]))
+        _require_output("", output, self._with_force_inputs.output_labels)
+        return Channel(known[0], output, channel(self._with_force_inputs, output, known[0]))
 
-    def together(self, channels: Sequence[Channel]) -> ct.StateSpace:
+    def combined(self, channels: Sequence[Channel]) -> ct.StateSpace:
         """One minimal system from all the inputs of some channels to all their outputs."""
         sources = list(dict.fromkeys(c.source for c in channels))
         outputs = list(dict.fromkeys(c.output for c in channels))
-        found = minimal(self._wide[outputs, sources])
+        found = minimal(self._with_force_inputs[outputs, sources])
         states = [f"state_{k}" for k in range(found.nstates)]
         return named(found, states, sources, outputs, "together")
 
@@ -177,17 +177,19 @@ class Analysis:
             return [self.channel(r, r.removesuffix("_ref")) for r in self.loop.references]
         dofs = self.vehicle.degrees_of_freedom
         names = dict(zip(dofs, self.vehicle.velocity_names, strict=True))
-        forces = [n for n in self._wide.input_labels if n.startswith("force_")]
+        forces = [n for n in self._with_force_inputs.input_labels if n.startswith("force_")]
         return [self.channel(f, names[f.removeprefix("force_")]) for f in forces]
 
-    def chosen(self, source: str | None, output: str | None) -> list[Channel]:
+    def select_channels(self, source: str | None, output: str | None) -> list[Channel]:
         """The channels that are asked for; what is not given is that of the main channels."""
         if source is None and output is None:
             return self.main_channels
         if source is not None and output is not None:
             return [self.channel(source, output)]
         found = [
-            c for c in self.main_channels if output == c.output or source in (c.source, *_short(c.source))
+            c
+            for c in self.main_channels
+            if output == c.output or source in (c.source, *_short_names(c.source))
         ]
         if found:
             return found
@@ -200,18 +202,18 @@ class Analysis:
         return {c.name: margins(c.system) for c in channels}
 
     @cached_property
-    def disk_of_all(self) -> float | None:
+    def multiloop_disk(self) -> float | None:
         """Disk margin of the loops of all forces at once, where it is asked for."""
-        return self.loop.disk if self.loop and self.together_too else None
+        return self.loop.disk if self.loop and self.multiloop_margin else None
 
     # --- what can be moved and seen -----------------------------------------------------------
     @cached_property
-    def controllability(self) -> Reach:
+    def controllability(self) -> Subspace:
         """What the commands can move."""
         return controllability(self.plant)
 
     @cached_property
-    def observability(self) -> Reach:
+    def observability(self) -> Subspace:
         """What the sensors show."""
         plant = self.plant
         for sensor in self.sensors:
@@ -237,7 +239,7 @@ class Analysis:
                 "modes": [_mode(m) for m in self.modes],
                 "zeros": {c.name: c.zeros for c in channels},
                 "margins": {n: vars(m) for n, m in self.margins(channels).items()},
-                "disk_of_all_forces": self.disk_of_all,
+                "disk_of_all_forces": self.multiloop_disk,
                 "controllability": vars(self.controllability),
                 "observability": vars(self.observability),
                 "family": self.family and _family(self.family),
@@ -253,7 +255,7 @@ def _require_output(kind: str, name: str, outputs: Sequence[str]) -> None:
         )
 
 
-def _short(source: str) -> tuple[str, str]:
+def _short_names(source: str) -> tuple[str, str]:
     return source.removeprefix("force_"), source.removesuffix("_ref")
 
 
@@ -265,7 +267,7 @@ def _mode(mode: Mode) -> dict[str, Any]:
 
 def _family(found: Family) -> dict[str, Any]:
     return {
-        "from": found.spread.source,
+        "from": found.uncertainty.source,
         "refused": found.refused,
         "unstable": [m.name for m in found.unstable],
         "members": [
@@ -307,7 +309,7 @@ def analyse(
         raise UndertowError(f"--family draws continuous systems: leave out --dt {dt:g}, or the family")
     progress(0.1, "finding the trim")
     found = Analysis(vehicle, find_trim(vehicle, at, free=free, direction=direction), law, pade, sensors)
-    found.dt, found.together_too = dt, together
+    found.dt, found.multiloop_margin = dt, together
     found.observer = None if observer is None else load_observer(observer, vehicle)
     if family_of:
         progress(0.3, "drawing vehicles")
@@ -448,7 +450,7 @@ def changes(old: Snapshot, new: Snapshot) -> dict[str, list[Change]]:
     moved = [
         Change(f"{loop}: {change.what}", change.old, change.new)
         for loop in loops
-        for change in _moved(old.eigenvalues.get(loop, {}), new.eigenvalues.get(loop, {}))
+        for change in _changed_poles(old.eigenvalues.get(loop, {}), new.eigenvalues.get(loop, {}))
     ]
     return {
         "parameters": _changed(old.parameters, new.parameters),
@@ -462,7 +464,7 @@ def _changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
     return [Change(n, old.get(n, ""), new.get(n, "")) for n in {**old, **new} if old.get(n) != new.get(n)]
 
 
-def _moved(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
+def _changed_poles(old: Mapping[str, str], new: Mapping[str, str]) -> list[Change]:
     """Poles that moved; each is paired with the nearest one that involves the same states."""
     gone, come = ([n for n in a if n not in b] for a, b in ((old, new), (new, old)))
     pairs = [*((n, n) for n in old if n in new), *zip_longest(gone, come, fillvalue="")]

@@ -18,7 +18,7 @@ from undertow.codegen.compiler import Evaluator
 from undertow.codegen.manifest import whole_samples
 from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
-from undertow.control.laws import JUMPING
+from undertow.control.laws import DISCONTINUOUS
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
@@ -27,7 +27,7 @@ from undertow.observer.design import Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
 
-from .analysis import Margins, disk_margin_of_all, like, margins, minimal, period
+from .analysis import Margins, margins, minimal, multiloop_disk_margin, sampling_time, with_timebase
 from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
@@ -39,23 +39,18 @@ class DelaySettings:
     """Limits for approximating dead times, and for filters to converge."""
 
     # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
-    pade: int = 8
-    samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+    max_pade: int = 8
+    max_samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
     # Of the iteration for a filter beside them: rounds at most, and the relative change that is rounding.
     rounds: int = 100
-    alike: float = 1e-13
+    relative_change: float = 1e-13
 
 
 SETTINGS = DelaySettings()
 
 
 def linearize(
-    vehicle: Vehicle,
-    trim: Trim | Mapping[str, float],
-    *,
-    pade: int = 0,
-    dt: float = 0.0,
-    units: bool = False,
+    vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int = 0, dt: float = 0.0, units: bool = False
 ) -> ct.StateSpace:
     """The vehicle near a steady motion, as a linear system with names.
 
@@ -98,7 +93,7 @@ def linear_with_delays(
     """The linear system at a trim, sampled with its dead times in whole samples, or with Padé's."""
     _check_sampling(dt, pade)
     system = linear_at(numeric, trim, p)
-    system = _held(system, dt) if dt else system
+    system = _zero_order_hold(system, dt) if dt else system
     dead, late = numeric.functions.late(p)
     late = {n: s for n, s in late.items() if n in system.output_labels}
     if not dead and not late:
@@ -106,7 +101,7 @@ def linear_with_delays(
     if not (pade or dt):
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
-            ", ".join(_delays_in_words(dead, late)),
+            ", ".join(_delay_texts(dead, late)),
             numeric.vehicle.name,
         )
         return system
@@ -125,7 +120,7 @@ def _delays(
 ) -> tuple[ct.StateSpace, list[str]]:
     """Delays of signals, whole samples or Padé's, those without one straight through, and their states."""
     straight = ct.ss([], [], [], 1.0, dt=dt)
-    made = {n: _shift(s, dt) if dt else _pade(s, order) for n, s in seconds.items()}
+    made = {n: _sample_delay(s, dt) if dt else _pade(s, order) for n, s in seconds.items()}
     each = [made.get(n, straight) for n in names]
     states = [f"late_{n}_{k}" for n, own in zip(names, each, strict=True) for k in range(own.nstates)]
     return ct.append(*each), states
@@ -140,12 +135,12 @@ def _pade(seconds: float, order: int) -> ct.StateSpace:
     return ct.ss(found.A * by / by[:, None], found.B / by[:, None], found.C * by, found.D)
 
 
-def _shift(seconds: float, dt: float) -> ct.StateSpace:
+def _sample_delay(seconds: float, dt: float) -> ct.StateSpace:
     """A delay of the whole samples that are nearest."""
     k = whole_samples(seconds, dt)
-    if k > SETTINGS.samples:
+    if k > SETTINGS.max_samples:
         raise UndertowError(
-            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, but {SETTINGS.samples} is the "
+            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, but {SETTINGS.max_samples} is the "
             "limit: lengthen dt"
         )
     if not k:
@@ -157,9 +152,9 @@ def _shift(seconds: float, dt: float) -> ct.StateSpace:
 def _check_sampling(dt: float, pade: int) -> None:
     if not (isfinite(dt) and dt >= 0):
         raise UndertowError(f"sampling time dt = {dt:g} s is impossible: give a time above zero")
-    if not 0 <= pade <= SETTINGS.pade:
+    if not 0 <= pade <= SETTINGS.max_pade:
         raise UndertowError(
-            f"pade = {pade} is not an order of approximation for dead times: give 0 to {SETTINGS.pade}"
+            f"pade = {pade} is not an order of approximation for dead times: give 0 to {SETTINGS.max_pade}"
         )
     if dt and pade:
         raise UndertowError(
@@ -168,7 +163,7 @@ def _check_sampling(dt: float, pade: int) -> None:
         )
 
 
-def _held(system: ct.StateSpace, dt: float) -> ct.StateSpace:
+def _zero_order_hold(system: ct.StateSpace, dt: float) -> ct.StateSpace:
     """A continuous system sampled behind a zero-order hold."""
     a, b, c, d, _ = cont2discrete((system.A, system.B, system.C, system.D), dt)
     labels = system.state_labels, system.input_labels, system.output_labels
@@ -191,9 +186,9 @@ def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateS
     """The linear system at a trim for values of the parameters, without dead time."""
     _, a, b, _ = numeric.slopes(trim.x, trim.u, p)
     c, d = numeric.report_slopes(trim.x, trim.u, p)
-    gone = ("x", "y") if trim.turning else ()
-    kept = [i for i, name in enumerate(numeric.states) if name not in gone]
-    shown = [i for i, name in enumerate(numeric.outputs) if name not in gone]
+    omitted = ("x", "y") if trim.turning else ()
+    kept = [i for i, name in enumerate(numeric.states) if name not in omitted]
+    shown = [i for i, name in enumerate(numeric.outputs) if name not in omitted]
     return ct.ss(
         a[np.ix_(kept, kept)] + 0.0,  # no -0.0
         b[kept],
@@ -249,7 +244,7 @@ def _name(vehicle: Vehicle) -> str:
     return vehicle.name.replace(".", "_")
 
 
-def _delays_in_words(commands: float, reports: Mapping[str, float]) -> list[str]:
+def _delay_texts(commands: float, reports: Mapping[str, float]) -> list[str]:
     """Dead times in words."""
     acting = [f"commands act {commands:g} s late"] if commands else []
     return acting + [f"{name} is reported {late:g} s late" for name, late in reports.items()]
@@ -270,8 +265,8 @@ class LawSystem:
     """A gain set in continuous time, with its gate open.
 
     `references`, `measured`, `states` and `forces` name set-points, pose and velocity, the law's own states
-    and the forces it asks for; `acting` are the places of the degrees of freedom that commands push in;
-    `share`, shape (nu, n), has the commands for a unit of each force, without limits.
+    and the forces it asks for; `actuated` are the places of the degrees of freedom that commands push in;
+    `force_to_commands`, shape (nu, n), has the commands for a unit of each force, without limits.
     """
 
     def __init__(self, gains: GainSet) -> None:
@@ -282,8 +277,8 @@ class LawSystem:
         self.states = list(self._controller.state_names[:-1])
         self.forces = [f"force_{name}" for name in vehicle.degrees_of_freedom]
         allocation = self._controller.allocation
-        self.acting = allocation.rows
-        self.share = allocation.share
+        self.actuated = allocation.rows
+        self.force_to_commands = allocation.force_to_commands
         self.commands = self._controller.command_names
         self._k = np.array(self._controller.gain_values())
 
@@ -336,7 +331,7 @@ class LawSystem:
     def linear(self, trim: Trim) -> ct.StateSpace:
         """The law at a trim that it keeps: references, pose and velocity to forces."""
         n, nz = len(self.references), len(self.states)
-        (slope,) = self._slopes(*self.keeping(trim))
+        (slope,) = self._slopes(*self.operating_point(trim))
         force, rates = slope[:n], slope[n : n + nz]  # the last row is the gate's
         return ct.ss(
             rates[:, 3 * n :].reshape(nz, nz),
@@ -349,7 +344,7 @@ class LawSystem:
             name="law",
         )
 
-    def keeping(self, trim: Trim) -> tuple[Array, Array, Array]:
+    def operating_point(self, trim: Trim) -> tuple[Array, Array, Array]:
         """Reference, reported motion and law states for which the law asks for the forces of a trim.
 
         Integrals supply what the trim needs; a law without them keeps a steady-state error.
@@ -357,21 +352,21 @@ class LawSystem:
         self._check(trim)
         n = len(self.references)
         y = trim.y
-        ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.acting)
+        ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.actuated)
         commands = np.array([trim.commands[n] for n in self._controller.command_names])
-        target = self._controller.allocation.acting @ commands
+        target = self._controller.allocation.allocated @ commands
         for _ in range(20):  # Newton; laws are nearly linear, so that a few would do
-            lacking = target - self.outputs(ref, y, z)[2][rows]
+            missing = target - self.outputs(ref, y, z)[2][rows]
             slope = self._slopes(ref, y, z)[0][rows]
             if self.states:
-                z = z + np.linalg.pinv(slope[:, 3 * n :]) @ lacking
+                z = z + np.linalg.pinv(slope[:, 3 * n :]) @ missing
             else:
-                ref = ref + np.linalg.pinv(slope[:, :n]) @ lacking
+                ref = ref + np.linalg.pinv(slope[:, :n]) @ missing
         return ref, y, z
 
     def _check(self, trim: Trim) -> None:
         law = self.gains.law
-        if law.id in JUMPING:
+        if law.id in DISCONTINUOUS:
             raise UndertowError(
                 f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
                 "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
@@ -482,14 +477,14 @@ class LinearLoop:
         pade: int = 0,
     ) -> None:
         self.plant, self._system, self.trim = plant, system, trim
-        self.law = _sampled(system.linear(trim), period(plant))
+        self.law = _sampled(system.linear(trim), sampling_time(plant))
         if observer is not None:
-            self.law = _behind(self.law, system, SettledObserver(observer, trim, pade))
+            self.law = _with_filter(self.law, system, SteadyStateFilter(observer, trim, pade))
 
     @cached_property
     def _reference(self) -> Array:
         """The set-point that the law keeps this trim for."""
-        return self._system.keeping(self.trim)[0]
+        return self._system.operating_point(self.trim)[0]
 
     @property
     def offset(self) -> dict[str, float]:
@@ -497,7 +492,7 @@ class LinearLoop:
         return self._by_coordinate(self._reference - self.trim.y[: len(self._reference)])
 
     @property
-    def rest(self) -> dict[str, float]:
+    def pose_offset(self) -> dict[str, float]:
         """True pose at the trim less the set-point, m and rad."""
         return self._by_coordinate(self.trim.x[: len(self._reference)] - self._reference)
 
@@ -507,57 +502,61 @@ class LinearLoop:
     @property
     def references(self) -> list[str]:
         """Names of the set-points of the coordinates that commands push."""
-        return [self._system.references[i] for i in self._system.acting]
+        return [self._system.references[i] for i in self._system.actuated]
 
     @property
     def forces(self) -> list[str]:
         """Names of the forces that commands give."""
-        return [self._system.forces[i] for i in self._system.acting]
+        return [self._system.forces[i] for i in self._system.actuated]
 
     @cached_property
     def closed(self) -> ct.StateSpace:
         """References to pose, velocity and commands."""
-        to_commands = self._system.share
-        law = like(self.law, self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D)
+        to_commands = self._system.force_to_commands
+        law = with_timebase(
+            self.law, self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D
+        )
         whole = _closed(self.plant, law)
         names = (*self.plant.state_labels, *self.law.state_labels)
         outputs = [*self.plant.output_labels, *self.plant.input_labels]
         return named(whole, names, self._system.references, outputs, "closed")
 
     @cached_property
-    def opened(self) -> ct.StateSpace:
+    def open_loop(self) -> ct.StateSpace:
         """The loop cut at the forces: forces to minus the forces of the law."""
         n = len(self._system.references)
-        plant, by_force, names = self.plant, self._system.share, self._system.forces
-        pushed = like(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
-        answer = like(self.law, self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
+        plant, by_force, names = self.plant, self._system.force_to_commands, self._system.forces
+        pushed = with_timebase(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
+        answer = (
+            with_timebase(self.law, self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
+        )
         return named(answer, answer.state_labels, names, names, "opened")
 
-    def cut(self, force: str) -> ct.StateSpace:
+    def single_loop(self, force: str) -> ct.StateSpace:
         """The loop of one force with the others closed, minimal."""
         i = self._system.forces.index(force)
         others = np.eye(len(self._system.forces))
         others[i, i] = 0.0
-        rest = ct.feedback(self.opened, ct.ss([], [], [], others))
-        return minimal(rest[i, i])
+        pose_offset = ct.feedback(self.open_loop, ct.ss([], [], [], others))
+        return minimal(pose_offset[i, i])
 
     @cached_property
-    def acting(self) -> ct.StateSpace:
+    def actuated_loop(self) -> ct.StateSpace:
         """The loop cut at the forces that commands give, minimal."""
-        return minimal(self.opened[self.forces, self.forces])
+        return minimal(self.open_loop[self.forces, self.forces])
 
     @cached_property
     def disk(self) -> float:
-        """Disk margin of the loops of all forces at once, which `disk_margin_of_all` describes."""
-        return disk_margin_of_all(self.acting)
+        """Disk margin of the loops of all forces at once, which `multiloop_disk_margin` describes."""
+        return multiloop_disk_margin(self.actuated_loop)
 
     @cached_property
     def margins(self) -> dict[str, Margins]:
         """Margins of the loop of each force that commands give, with the others closed."""
-        return {force: margins(self.cut(force)) for force in self.forces}
+        return {force: margins(self.single_loop(force)) for force in self.forces}
 
 
-class SettledObserver:
+class SteadyStateFilter:
     """The steady-state Kalman filter of an observer at a trim, in continuous time.
 
     Reports every T s with variance r are equivalent to a continuous report with spectral density r T (Simon
@@ -603,11 +602,11 @@ class SettledObserver:
 
     def _steady_gain(self, noise: Array, r: Array) -> Array:
         try:
-            gain = np.linalg.solve(r, self.c @ _settled(self.a, self.c, noise, r)).T
-            settles = bool((np.linalg.eigvals(self.a - gain @ self.c).real < 0).all())
+            gain = np.linalg.solve(r, self.c @ _steady_covariance(self.a, self.c, noise, r)).T
+            converges = bool((np.linalg.eigvals(self.a - gain @ self.c).real < 0).all())
         except np.linalg.LinAlgError:
-            settles = False
-        if not settles:
+            converges = False
+        if not converges:
             sensors = ", ".join(self.observer.sensors)
             raise UndertowError(
                 f"observer '{self.observer.name}' does not converge: its sensors ({sensors}) do not observe "
@@ -617,7 +616,7 @@ class SettledObserver:
 
 
 @np.errstate(all="ignore")  # what does not converge is no filter
-def _settled(a: Array, c: Array, noise: Array, r: Array) -> Array:
+def _steady_covariance(a: Array, c: Array, noise: Array, r: Array) -> Array:
     """Steady-state covariance of a filter, by the sign of its Hamiltonian matrix (Roberts 1980).
 
     Ordered Schur forms fail where eigenvalues are as close to one another as those of delays are.
@@ -627,7 +626,7 @@ def _settled(a: Array, c: Array, noise: Array, r: Array) -> Array:
     for _ in range(SETTINGS.rounds):
         scale = np.exp(-np.linalg.slogdet(sign)[1] / (2 * n))
         before, sign = sign, 0.5 * (scale * sign + np.linalg.inv(sign) / scale)
-        if np.linalg.norm(sign - before, 1) <= SETTINGS.alike * np.linalg.norm(sign, 1):
+        if np.linalg.norm(sign - before, 1) <= SETTINGS.relative_change * np.linalg.norm(sign, 1):
             break
     left = np.vstack([sign[:n, n:], sign[n:, n:] + identity])
     right = np.vstack([sign[:n, :n] + identity, sign[n:, :n]])
@@ -643,7 +642,7 @@ def _sampled(law: ct.StateSpace, dt: float) -> ct.StateSpace:
     return named(ct.ss(a, dt * law.B, law.C, law.D, dt=dt), *names, law.name)
 
 
-def _behind(law: ct.StateSpace, system: LawSystem, filter: SettledObserver) -> ct.StateSpace:
+def _with_filter(law: ct.StateSpace, system: LawSystem, filter: SteadyStateFilter) -> ct.StateSpace:
     """A law that gets the estimate: references and reports to forces, the estimate among the states."""
     n, names, measured = len(system.references), filter.names, system.measured
     take = np.zeros((2 * n, len(names)))
@@ -651,7 +650,7 @@ def _behind(law: ct.StateSpace, system: LawSystem, filter: SettledObserver) -> c
     given = np.zeros((len(filter.observer.sensors), 2 * n))
     given[np.arange(len(given)), [measured.index(m) for m in filter.observer.sensors]] = 1.0
     commands = filter.observer.process.vehicle.command_names
-    push = filter.b[:, [commands.index(c) for c in system.commands]] @ system.share
+    push = filter.b[:, [commands.index(c) for c in system.commands]] @ system.force_to_commands
     b_ref, b_y, d_ref, d_y = law.B[:, :n], law.B[:, n:] @ take, law.D[:, :n], law.D[:, n:] @ take
     a = np.block([[law.A, b_y], [push @ law.C, filter.a - filter.gain @ filter.c + push @ d_y]])
     b = np.block([[b_ref, np.zeros((law.nstates, 2 * n))], [push @ d_ref, filter.gain @ given]])
@@ -671,7 +670,7 @@ def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
     b = np.vstack([plant.B @ d_ref, b_ref])
     c = np.block([[plant.C, np.zeros((ny, law.nstates))], [d_y @ plant.C, law.C]])
     d = np.vstack([np.zeros((ny, n)), d_ref])
-    return like(plant, a, b, c, d)
+    return with_timebase(plant, a, b, c, d)
 
 
 def with_forces(
@@ -682,5 +681,5 @@ def with_forces(
     b, d = plant.B @ by_force, plant.D @ by_force
     if commands:
         b, d, names = np.hstack([plant.B, b]), np.hstack([plant.D, d]), [*plant.input_labels, *names]
-    system = like(plant, plant.A, b, plant.C, d)
+    system = with_timebase(plant, plant.A, b, plant.C, d)
     return named(system, plant.state_labels, names, plant.output_labels, plant.name)

@@ -20,7 +20,7 @@ from .numeric import Numeric, in_direction, reversing, with_ideal_thrust
 
 _HOVER = {"u": 0.0, "v": 0.0, "w": 0.0, "r": 0.0}
 _FREE = ("u", "v", "w", "r", "z")
-_PLACE = ("x", "y")
+_POSITION = ("x", "y")
 _FARTHEST = 1e6
 
 
@@ -29,11 +29,11 @@ class Request:
     """What is wanted of a trim."""
 
     held: Mapping[str, float]  # values of states and commands that are given, by name
-    given: tuple[str, ...]  # names of those that the caller stated
+    stated: tuple[str, ...]  # names of those that the caller stated
     climbs: bool  # whether depth may change
 
 
-def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection[str]) -> Request:
+def checked_request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection[str]) -> Request:
     """A checked request; values neither held nor free are zero."""
     hover = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names and n not in free}
     given = hover if held is None else dict(held)
@@ -47,7 +47,7 @@ def request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Collection
             )
         if name in given:
             raise UndertowError(f"{name} is both held and free: name it only once")
-    resting = {name: 0.0 for name in (*_PLACE, "z", "r") if name in known and name not in free}
+    resting = {name: 0.0 for name in (*_POSITION, "z", "r") if name in known and name not in free}
     return Request(resting | given, tuple(given), climbs="w" in free)
 
 
@@ -57,7 +57,7 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
             f"'{name}' is not a velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
             f"{', '.join(known)}"
         )
-    if name in _PLACE:
+    if name in _POSITION:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
         raise UndertowError(f"{name} = {value} is not a value of a steady motion: give a finite one")
@@ -78,7 +78,7 @@ class TrimSettings:
     # From which the search begins where speed and heading are to be found: m/s, degrees.
     speeds: tuple[float, ...] = (0.0, 0.5)
     headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
-    balanced: float = 1e-9  # rates of change below this are none, SI
+    tolerance: float = 1e-9  # rates of change below this are none, SI
     rounds: int = 12  # Newton's steps, and halvings of each
     # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
     negligible: float = 5e-3
@@ -97,15 +97,15 @@ class Balance:
     """
 
     def __init__(
-        self, numeric: Numeric, wanted: Request, p: Array | None = None, limited: bool = True
+        self, numeric: Numeric, request: Request, p: Array | None = None, limited: bool = True
     ) -> None:
-        self.numeric, self.wanted, self._p, self._limited = numeric, wanted, p, limited
+        self.numeric, self.request, self._p, self._limited = numeric, request, p, limited
         self.names = (*numeric.states, *numeric.commands)
-        self.unknown = [i for i, name in enumerate(self.names) if name not in wanted.held]
+        self.unknown = [i for i, name in enumerate(self.names) if name not in request.held]
         # Heading and place may go on changing; velocities and all else may not.
-        free = ("x", "y", "psi", "z") if wanted.climbs else ("x", "y", "psi")
+        free = ("x", "y", "psi", "z") if request.climbs else ("x", "y", "psi")
         self._rows = [i for i, name in enumerate(numeric.states) if name not in free]
-        self.start = np.array([wanted.held.get(name, 0.0) for name in self.names])
+        self.start = np.array([request.held.get(name, 0.0) for name in self.names])
 
     @property
     def rows(self) -> list[str]:
@@ -113,11 +113,11 @@ class Balance:
         return [self.numeric.states[i] for i in self._rows]
 
     @property
-    def prices(self) -> Array:
+    def weights(self) -> Array:
         """Price of the square of each unknown."""
-        return np.array([self._price(self.names[i]) for i in self.unknown])
+        return np.array([self._weight(self.names[i]) for i in self.unknown])
 
-    def _price(self, name: str) -> float:
+    def _weight(self, name: str) -> float:
         if name in self.numeric.commands:
             return SETTINGS.command
         return (
@@ -150,64 +150,64 @@ class Balance:
         largest = float(np.max(np.abs(self(y)), initial=0.0))
         return largest if np.isfinite(largest) else inf
 
-    def holds(self, y: Array) -> bool:
+    def is_steady(self, y: Array) -> bool:
         """Whether a motion is steady."""
-        return self.residual(y) < SETTINGS.balanced
+        return self.residual(y) < SETTINGS.tolerance
 
 
 def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array]:
     """State and commands of the cheapest steady motion; the search begins at `commands`, shape (nu,)."""
-    found = [_from(balance, y) for y in _starts(balance, commands)]
-    good = [y for y in found if balance.holds(y)]
+    found = [_minimised(balance, y) for y in _starts(balance, commands)]
+    good = [y for y in found if balance.is_steady(y)]
     if not good:
-        raise UndertowError(_reason(balance, min(found, key=balance.residual)))
-    inside = [y for y in good if not _beyond(balance, y)]
+        raise UndertowError(_why_none(balance, min(found, key=balance.residual)))
+    inside = [y for y in good if not _beyond_limit(balance, y)]
     if not inside:
-        raise UndertowError(_beyond(balance, good[0]))
-    best = min(inside, key=lambda y: float(balance.prices @ y**2))
-    return _tidied(balance, best)
+        raise UndertowError(_beyond_limit(balance, good[0]))
+    best = min(inside, key=lambda y: float(balance.weights @ y**2))
+    return _without_drift(balance, best)
 
 
-def _tidied(balance: Balance, y: Array) -> tuple[Array, Array]:
+def _without_drift(balance: Balance, y: Array) -> tuple[Array, Array]:
     """The motion with no drift and no tilt at all where they are negligible."""
     names = [balance.names[i] for i in balance.unknown]
     faint = [n for n, v in zip(names, y, strict=True) if abs(v) < SETTINGS.negligible]
     small = [n for n in faint if n in (*POSE, *VELOCITY)]
-    held = dict(balance.wanted.held) | dict.fromkeys(small, 0.0)
-    upright = Balance(balance.numeric, replace(balance.wanted, held=held))
+    held = dict(balance.request.held) | dict.fromkeys(small, 0.0)
+    upright = Balance(balance.numeric, replace(balance.request, held=held))
     start = np.array([v for n, v in zip(names, y, strict=True) if n not in small])
     again = _polished(upright, start)
-    better = upright.holds(again) and not _beyond(upright, again)
+    better = upright.is_steady(again) and not _beyond_limit(upright, again)
     return upright.split(again) if better else balance.split(y)
 
 
 def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
     """Where the search begins: at rest and, where that is to be found, at some speed and several headings."""
-    places = {balance.names[i]: k for k, i in enumerate(balance.unknown)}
-    begin = np.zeros(len(places))
+    index_of = {balance.names[i]: k for k, i in enumerate(balance.unknown)}
+    begin = np.zeros(len(index_of))
     for name, value in zip(balance.numeric.commands, () if commands is None else commands, strict=False):
-        if name in places:
-            begin[places[name]] = value
-    ways = {"u": SETTINGS.speeds, "psi": tuple(np.radians(SETTINGS.headings))}
-    names = [n for n in ways if n in places]
+        if name in index_of:
+            begin[index_of[name]] = value
+    values_of = {"u": SETTINGS.speeds, "psi": tuple(np.radians(SETTINGS.headings))}
+    names = [n for n in values_of if n in index_of]
     starts = []
-    for values in product(*(ways[n] for n in names)):
+    for values in product(*(values_of[n] for n in names)):
         start = begin.copy()
-        start[[places[n] for n in names]] = values
+        start[[index_of[n] for n in names]] = values
         starts.append(start)
     return starts
 
 
-def _from(balance: Balance, y: Array) -> Array:
+def _minimised(balance: Balance, y: Array) -> Array:
     if not y.size:  # everything is held: SLSQP does not take a search without unknowns
         return y
     from scipy.optimize import minimize
 
-    prices = balance.prices
+    weights = balance.weights
     done = minimize(
-        lambda y: 0.5 * float(prices @ y**2),
+        lambda y: 0.5 * float(weights @ y**2),
         y,
-        jac=lambda y: prices * y,
+        jac=lambda y: weights * y,
         method="SLSQP",
         bounds=balance.bounds(),
         constraints={"type": "eq", "fun": balance, "jac": balance.slope},
@@ -219,45 +219,45 @@ def _from(balance: Balance, y: Array) -> Array:
 def _polished(balance: Balance, y: Array) -> Array:
     """The last digits: Newton's steps onto F = 0, then along it to the least price."""
     for _ in range(SETTINGS.rounds):
-        y = _nearer(balance, y)
+        y = _newton_step(balance, y)
     for _ in range(SETTINGS.rounds):
-        inverse, target, scale = _local(balance, y)
-        wanted = scale * (inverse @ (target - balance(y)))
-        if not balance.residual(wanted) < SETTINGS.balanced / 10:
+        inverse, target, scale = _linearised(balance, y)
+        request = scale * (inverse @ (target - balance(y)))
+        if not balance.residual(request) < SETTINGS.tolerance / 10:
             break
-        y = wanted
+        y = request
     return y
 
 
-def _local(balance: Balance, y: Array) -> tuple[Array, Array, Array]:
+def _linearised(balance: Balance, y: Array) -> tuple[Array, Array, Array]:
     """Inverse of the slope in unknowns divided by their scale, slope times y, and the scale."""
-    scale: Array = 1 / np.sqrt(balance.prices)
+    scale: Array = 1 / np.sqrt(balance.weights)
     slope: Array = np.nan_to_num(balance.slope(y)) * scale
     inverse = np.asarray(np.linalg.pinv(slope, rcond=1e-10), dtype=float)
     return inverse, slope @ (y / scale), scale
 
 
-def _nearer(balance: Balance, y: Array) -> Array:
+def _newton_step(balance: Balance, y: Array) -> Array:
     """One step of Newton's, halved until it brings the motion nearer to a steady one."""
     before = balance.residual(y)
-    inverse, _, scale = _local(balance, y)
+    inverse, _, scale = _linearised(balance, y)
     step = -scale * (inverse @ balance(y))
     tries = (y + step / 2**k for k in range(SETTINGS.rounds))
     return next((t for t in tries if balance.residual(t) < before), y)
 
 
 # --- why there is none ----------------------------------------------------------------------------
-def _reason(balance: Balance, y: Array) -> str:
+def _why_none(balance: Balance, y: Array) -> str:
     if any(m != (None, None) for m in balance.bounds()):
-        unlimited = Balance(balance.numeric, balance.wanted, limited=False)
-        far = [y for y in (_from(unlimited, s) for s in _starts(unlimited)) if unlimited.holds(y)]
+        unlimited = Balance(balance.numeric, balance.request, limited=False)
+        far = [y for y in (_minimised(unlimited, s) for s in _starts(unlimited)) if unlimited.is_steady(y)]
         if far:
-            return _beyond(balance, far[0])
+            return _beyond_limit(balance, far[0])
     value = np.abs(balance(y))
     worst = balance.rows[int(np.argmax(value))]
     return (
         f"no steady motion of '{balance.numeric.vehicle.name}' has these values: {worst} keeps changing by "
-        f"{value.max():.3g} (SI) a second, whatever the commands; {_remedy(balance.wanted.given)}"
+        f"{value.max():.3g} (SI) a second, whatever the commands; {_remedy(balance.request.stated)}"
     )
 
 
@@ -266,7 +266,7 @@ def _remedy(held: Collection[str]) -> str:
     return f"hold other values, or leave one of {', '.join(free)} free" if free else "hold something else"
 
 
-def _beyond(balance: Balance, y: Array) -> str:
+def _beyond_limit(balance: Balance, y: Array) -> str:
     """Required command, if beyond its limit."""
     for i, value, (_, most) in zip(balance.unknown, y, balance.bounds(), strict=True):
         if most is not None and abs(value) > most * (1 + 1e-9):
@@ -279,9 +279,9 @@ def _beyond(balance: Balance, y: Array) -> str:
 
 def at_parameters(balance: Balance, p: Array, x: Array, u: Array) -> tuple[Array, Array] | None:
     """The trim near a known one for other values of the parameters, or None where there is none."""
-    changed = Balance(balance.numeric, balance.wanted, p)
+    changed = Balance(balance.numeric, balance.request, p)
     y = _polished(changed, np.concatenate([x, u])[balance.unknown])
-    return changed.split(y) if changed.holds(y) else None
+    return changed.split(y) if changed.is_steady(y) else None
 
 
 @dataclass(frozen=True)
@@ -294,10 +294,10 @@ class Trim:
     # velocity to 1 or -1 where parameters of one direction of motion were taken because the motion itself
     # does not tell (it is at rest in the water in that direction)
     direction: Mapping[str, int]
-    wanted: Request  # what was held
+    request: Request  # what was held
     remarks: tuple[str, ...] = ()  # what was assumed
     turning: bool = False  # whether the heading changes, so that slopes in x and y depend on time
-    idle: tuple[str, ...] = ()  # commands around which a small change has no effect
+    ineffective: tuple[str, ...] = ()  # commands around which a small change has no effect
     # what the sensors report of pose and velocity, by name, SI: what a controller gets
     reports: Mapping[str, float] = field(default_factory=dict)
 
@@ -353,13 +353,13 @@ def find_trim(
         If a name is unknown, forces depend on time, no steady motion has these values, or it takes a command
         beyond its limit.
     """
-    wanted = request(vehicle, held, free)
-    trim = _search(vehicle, wanted, dict(direction or {}), numeric)
-    assumed = [f"{name}={way}" for name, way in trim.direction.items() if name not in (direction or {})]
-    return replace(trim, remarks=(*_on_direction(assumed), *_on_idle(trim)))
+    request = checked_request(vehicle, held, free)
+    trim = _find(vehicle, request, dict(direction or {}), numeric)
+    assumed = [f"{name}={sign}" for name, sign in trim.direction.items() if name not in (direction or {})]
+    return replace(trim, remarks=(*_direction_remark(assumed), *_idle_remark(trim)))
 
 
-def _on_direction(assumed: Collection[str]) -> list[str]:
+def _direction_remark(assumed: Collection[str]) -> list[str]:
     if not assumed:
         return []
     return [
@@ -368,62 +368,62 @@ def _on_direction(assumed: Collection[str]) -> list[str]:
     ]
 
 
-def _on_idle(trim: Trim) -> list[str]:
+def _idle_remark(trim: Trim) -> list[str]:
     """What to say of commands around which a small change has no effect."""
-    if not trim.idle:
+    if not trim.ineffective:
         return []
     return [
-        f"small changes of {', '.join(trim.idle)} have no effect here (a dead band, a flat part of a thrust "
-        "curve, or a rudder without flow): linearise at a motion that needs them (--at)"
+        f"small changes of {', '.join(trim.ineffective)} have no effect here (a dead band, a flat part of a "
+        "thrust curve, or a rudder without flow): linearise at a motion that needs them (--at)"
     ]
 
 
-def _search(
-    vehicle: Vehicle, wanted: Request, direction: dict[str, int], known: Numeric | None = None
+def _find(
+    vehicle: Vehicle, request: Request, direction: dict[str, int], known: Numeric | None = None
 ) -> Trim:
     """A trim, with the set of parameters for rest where the vehicle is at rest in the water."""
     numeric = known or Numeric(in_direction(vehicle, direction))
-    one_way = numeric.vehicle
-    if numeric.varies:
+    directed = numeric.vehicle
+    if numeric.time_varying:
         raise UndertowError(
             f"forces on '{vehicle.name}' depend on time (waves, battery droop): there is no steady motion; "
             "remove such effects in a copy of the vehicle file"
         )
-    x, u = _solved(numeric, wanted)
+    x, u = _solved(numeric, request)
     _check_steady(numeric, x, u)
     resting = [
         name
-        for name in reversing(one_way)
+        for name in reversing(directed)
         if name not in direction and abs(_through_water(numeric, x, name)) < SETTINGS.at_rest
     ]
     if resting:
-        return _search(vehicle, wanted, direction | dict.fromkeys(resting, 1))
+        return _find(vehicle, request, direction | dict.fromkeys(resting, 1))
     states, commands = dict(zip(numeric.states, x, strict=True)), dict(zip(numeric.commands, u, strict=True))
     rates = numeric.rate(0.0, x, u)
     turning = any(
         abs(r) > SETTINGS.at_rest for n, r in zip(numeric.states, rates, strict=True) if n in POSE[3:]
     )
-    idle = tuple(
+    ineffective = tuple(
         n
         for n, felt in zip(numeric.commands, np.any(numeric.slopes(x, u)[2], axis=0), strict=True)
         if not felt
     )
-    return Trim(states, commands, direction, wanted, (), bool(turning), idle, numeric.reports(x, u))
+    return Trim(states, commands, direction, request, (), bool(turning), ineffective, numeric.reports(x, u))
 
 
-def _solved(numeric: Numeric, wanted: Request) -> tuple[Array, Array]:
+def _solved(numeric: Numeric, request: Request) -> tuple[Array, Array]:
     """State and commands; where no command moves the vehicle at rest, from commands beyond its dead band."""
-    balance = Balance(numeric, wanted)
+    balance = Balance(numeric, request)
     try:
         return solve(balance)
     except UndertowError:
-        for commands in _beyond_dead_bands(numeric, wanted):
+        for commands in _beyond_dead_bands(numeric, request):
             with suppress(UndertowError):
                 return solve(balance, commands)
         raise
 
 
-def _beyond_dead_bands(numeric: Numeric, wanted: Request) -> Iterator[Array]:
+def _beyond_dead_bands(numeric: Numeric, request: Request) -> Iterator[Array]:
     """Commands that ideal thrusters need, then half of what commands can be, ahead and astern.
 
     Dead bands and flat parts of thrust curves leave the search at rest without a direction.
@@ -431,7 +431,7 @@ def _beyond_dead_bands(numeric: Numeric, wanted: Request) -> Iterator[Array]:
     ideal = with_ideal_thrust(numeric.vehicle)
     if len(ideal.effects) < len(numeric.vehicle.effects):
         with suppress(UndertowError):
-            yield solve(Balance(Numeric(ideal), wanted))[1]
+            yield solve(Balance(Numeric(ideal), request))[1]
     for limits in (numeric.vehicle.largest_commands, numeric.vehicle.lowest_commands):
         if limits:
             yield np.array([limits.get(name, 0.0) / 2 for name in numeric.commands])
@@ -451,8 +451,8 @@ def _check_steady(numeric: Numeric, x: Array, u: Array) -> None:
     change = slopes[n:, :n] @ rate[:n]
     if np.max(np.abs(change), initial=0.0) > SETTINGS.steady:
         felt = (abs(rate[:n]) > SETTINGS.at_rest) & np.any(slopes[n:, :n], axis=0)
-        guilty = [numeric.states[i] for i in np.flatnonzero(felt)]
+        changing = [numeric.states[i] for i in np.flatnonzero(felt)]
         raise UndertowError(
-            f"no steady motion: forces change with {', '.join(guilty)}, which keeps changing (a turn in a "
+            f"no steady motion: forces change with {', '.join(changing)}, which keeps changing (a turn in a "
             "current, a depth change of a compressible hull): hold it fixed"
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undertow.control.gains import GainSet, allocation_of
-from undertow.control.laws import JUMPING, LAMBDA, LAWS
+from undertow.control.laws import DISCONTINUOUS, LAMBDA, LAWS
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.vehicle import Vehicle
@@ -20,7 +20,7 @@ from undertow.typing import Array, Progress
 from .attitude import ANGLES
 from .check import check
 from .problem import Problem, Uncertainty
-from .result import SETTINGS, Region, Report, WholeLoop
+from .result import SETTINGS, FullLoop, Region, Report
 
 if TYPE_CHECKING:
     from undertow.control.linear.systems import LinearLoop
@@ -31,7 +31,7 @@ def certify(
     uncertainty: Uncertainty | None = None,
     *,
     observer: Design | None = None,
-    progress: Progress = lambda done, words: None,
+    progress: Progress = lambda done, summary: None,
     **options: Any,
 ) -> Report:
     """As `check`, which has the options, with the whole loop where effects or axes are outside conditions.
@@ -44,7 +44,7 @@ def certify(
         report = replace(report, loop_with_observer=observed_loop(gains, observer))
     if not (report.zero_dynamics or report.not_covered):
         return report
-    return replace(report, full_loop=whole_loop(gains, report.region))
+    return replace(report, full_loop=full_loop(gains, report.region))
 
 
 def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
@@ -63,7 +63,7 @@ def verdicts(gains: GainSet) -> dict[str, tuple[str, float | None]]:
     return found
 
 
-def whole_loop(gains: GainSet, region: Region) -> WholeLoop:
+def full_loop(gains: GainSet, region: Region) -> FullLoop:
     """The loop of a law with everything in its vehicle: effects, sensors, limits, axes that nothing pushes.
 
     It is linearised at rest at several headings and in all directions of motion that have parameters of their
@@ -71,34 +71,34 @@ def whole_loop(gains: GainSet, region: Region) -> WholeLoop:
     starts within the region, or near the set-point where there is none.
     """
 
-    def judge() -> WholeLoop:
+    def verdict() -> FullLoop:
         loops = [*_loops(gains)]
         worst = _worst(loops)
-        return _simulated(gains, region, worst, loops[0][1].rest) if worst.stable else worst
+        return _simulated(gains, region, worst, loops[0][1].pose_offset) if worst.stable else worst
 
-    return _judged(judge)
-
-
-def observed_loop(gains: GainSet, observer: Design) -> WholeLoop:
-    """The loop in which a law gets the estimate of an observer, as it settles: linearised as `whole_loop`."""
-    return _judged(lambda: _worst([*_loops(gains, observer)]))
+    return _verdict_or_error(verdict)
 
 
-def _worst(loops: Sequence[tuple[_Case, LinearLoop]]) -> WholeLoop:
+def observed_loop(gains: GainSet, observer: Design) -> FullLoop:
+    """The loop in which a law gets the estimate of an observer, as it settles: linearised as `full_loop`."""
+    return _verdict_or_error(lambda: _worst([*_loops(gains, observer)]))
+
+
+def _worst(loops: Sequence[tuple[_Case, LinearLoop]]) -> FullLoop:
     found = [_linear_verdict(case, loop) for case, loop in loops]
     return max(found, key=lambda w: (w.verdict == "unstable", not w.stable, _growth(w)))
 
 
-def _judged(judge: Callable[[], WholeLoop]) -> WholeLoop:
+def _verdict_or_error(verdict: Callable[[], FullLoop]) -> FullLoop:
     try:
-        return judge()
+        return verdict()
     except UndertowError as error:
-        return WholeLoop("not judged", None, f"not judged: {error}")
+        return FullLoop("not judged", None, f"not judged: {error}")
     except np.linalg.LinAlgError as error:
-        return WholeLoop("not judged", None, f"not judged: linear algebra fails on these numbers ({error})")
+        return FullLoop("not judged", None, f"not judged: linear algebra fails on these numbers ({error})")
 
 
-def _growth(found: WholeLoop) -> float:
+def _growth(found: FullLoop) -> float:
     return -math.inf if found.pole is None else found.pole.real
 
 
@@ -109,7 +109,7 @@ class _Case:
 
     held: Mapping[str, float]
     direction: Mapping[str, int]  # of motion, by velocity
-    idle: int  # how many axes nothing pushes
+    unactuated: int  # how many axes nothing pushes
 
     @property
     def where(self) -> str:
@@ -124,15 +124,19 @@ def _loops(gains: GainSet, observer: Design | None = None) -> Iterator[tuple[_Ca
     from undertow.control.linear.trim import find_trim
 
     smooth, vehicle = _without_jump(gains), _with_limits(gains)
-    switched = reversing(vehicle)
-    for way in (1, -1) if switched else (1,):
-        direction = dict.fromkeys(switched, way)
+    reversing_velocities = reversing(vehicle)
+    for sign in (1, -1) if reversing_velocities else (1,):
+        direction = dict.fromkeys(reversing_velocities, sign)
         numeric = Numeric(in_direction(vehicle, direction))
         law = law_for(smooth, gains.plant.vehicle, direction)
-        for held in _rests(gains):
+        for held in _equilibria(gains):
             trim = find_trim(vehicle, held, direction=direction, numeric=numeric)
             loop = LinearLoop(
-                linear_with_delays(numeric, trim, SETTINGS.pade), law, trim, observer, SETTINGS.pade
+                linear_with_delays(numeric, trim, SETTINGS.pade_order),
+                law,
+                trim,
+                observer,
+                SETTINGS.pade_order,
             )
             yield _Case(held, direction, len(gains.unactuated)), loop
 
@@ -140,9 +144,10 @@ def _loops(gains: GainSet, observer: Design | None = None) -> Iterator[tuple[_Ca
 def _with_limits(gains: GainSet) -> Vehicle:
     """The vehicle whose thrusters have the limits that the gain file states."""
     vehicle, limits = gains.plant.vehicle, allocation_of(gains).limits
-    found = dict(zip(vehicle.command_names, map(float, limits), strict=True))
+    limits_of = dict(zip(vehicle.command_names, map(float, limits), strict=True))
     thrusters = [
-        replace(t, limit=found[t.name]) if math.isfinite(found[t.name]) else t for t in vehicle.thrusters
+        replace(t, limit=limits_of[t.name]) if math.isfinite(limits_of[t.name]) else t
+        for t in vehicle.thrusters
     ]
     return replace(vehicle, thrusters=tuple(thrusters))
 
@@ -152,14 +157,14 @@ def _without_jump(gains: GainSet) -> GainSet:
 
     With effects beside, a jump ends in a limit cycle that no linear loop shows: an error.
     """
-    if gains.law.id not in JUMPING:
+    if gains.law.id not in DISCONTINUOUS:
         return gains
     if gains.plant.left_out:
         raise UndertowError(
             f"law '{gains.law.id}' is discontinuous at its set-point: with {', '.join(gains.plant.left_out)} "
             "it has no linearisation there; use 'sliding-mode-boundary-layer'"
         )
-    values, drive = dict(gains.values), JUMPING[gains.law.id]
+    values, drive = dict(gains.values), DISCONTINUOUS[gains.law.id]
     for c in gains.signals.coordinates:
         driven = bool(values[f"{drive}_{c}"])
         speed = SETTINGS.layer_speed * values[str(LAMBDA.symbol(c))]
@@ -168,7 +173,7 @@ def _without_jump(gains: GainSet) -> GainSet:
     return replace(gains, law=LAWS["sliding-mode-boundary-layer"](), values=values)
 
 
-def _rests(gains: GainSet) -> Iterator[dict[str, float]]:
+def _equilibria(gains: GainSet) -> Iterator[dict[str, float]]:
     """What is held at each rest to look at: no velocity, an even keel where the law keeps it, a heading."""
     vehicle = gains.plant.vehicle
     rest: dict[str, float] = dict.fromkeys(vehicle.velocity_names, 0.0)
@@ -177,36 +182,36 @@ def _rests(gains: GainSet) -> Iterator[dict[str, float]]:
     if "psi" not in vehicle.pose_names:
         yield rest
         return
-    differs = gains.plant.left_out or gains.unactuated or Problem(gains).heading_counts
+    differs = gains.plant.left_out or gains.unactuated or Problem(gains).heading_matters
     for k in range(SETTINGS.headings if differs else 1):
         yield {**rest, "psi": math.remainder(2 * math.pi * k / SETTINGS.headings, 2 * math.pi)}
 
 
-def _linear_verdict(case: _Case, loop: LinearLoop) -> WholeLoop:
-    matrix = _without_idle_integrals(loop)
+def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
+    matrix = _without_unactuated_integrals(loop)
     poles = np.linalg.eigvals(matrix)
     worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
-    if worst.real > SETTINGS.slowest:
-        return WholeLoop("unstable", worst, case.where)
-    constant = int(np.sum(poles.real >= -SETTINGS.slowest))
-    places = len(matrix) - _rank(matrix)
-    if case.idle and constant > places:
+    if worst.real > SETTINGS.slowest_decay:
+        return FullLoop("unstable", worst, case.where)
+    undamped = int(np.sum(poles.real >= -SETTINGS.slowest_decay))
+    rank_deficiency = len(matrix) - _rank(matrix)
+    if case.unactuated and undamped > rank_deficiency:
         text = f"an unactuated motion, or the integral of its error, diverges ({case.where or 'at rest'})"
-        return WholeLoop("unstable", worst, text)
-    if constant > case.idle:
+        return FullLoop("unstable", worst, text)
+    if undamped > case.unactuated:
         text = f"not judged: a motion neither decays nor grows ({case.where or 'at rest'}); a dead band, say"
-        return WholeLoop("not judged", worst, text)
-    moving = [complex(p) for p in poles if p.real < -SETTINGS.slowest]
-    slowest = max(moving, key=lambda p: (p.real, p.imag), default=worst)
-    return _with_offset(WholeLoop("stable", slowest, case.where), loop)
+        return FullLoop("not judged", worst, text)
+    decaying = [complex(p) for p in poles if p.real < -SETTINGS.slowest_decay]
+    slowest = max(decaying, key=lambda p: (p.real, p.imag), default=worst)
+    return _with_offset(FullLoop("stable", slowest, case.where), loop)
 
 
-def _without_idle_integrals(loop: LinearLoop) -> Array:
+def _without_unactuated_integrals(loop: LinearLoop) -> Array:
     """A of the closed loop without integrals that nothing depends on."""
-    system, own = loop.closed, set(loop.law.state_labels)
+    system, law_states = loop.closed, set(loop.law.state_labels)
     kept = list(range(system.nstates))
     for i, name in enumerate(system.state_labels):
-        if name in own and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
+        if name in law_states and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
             kept.remove(i)
     return np.asarray(system.A[np.ix_(kept, kept)])
 
@@ -220,26 +225,28 @@ def _rank(matrix: Array) -> int:
     return int(np.sum(singular > 1e-9 * singular[0]))
 
 
-def _with_offset(found: WholeLoop, loop: LinearLoop) -> WholeLoop:
+def _with_offset(found: FullLoop, loop: LinearLoop) -> FullLoop:
     """How far from its set-point the loop comes to rest: a law without integrals leaves an error."""
     offset = loop.offset
-    far = {c: v for c, v in offset.items() if abs(v) > SETTINGS.largest_offset}
-    if not far:
+    offsets = {c: v for c, v in offset.items() if abs(v) > SETTINGS.largest_offset}
+    if not offsets:
         return replace(found, offset=offset)
-    errors = ", ".join(f"{abs(v):.3g} {'rad' if c in ANGLES else 'm'} in {c}" for c, v in far.items())
+    errors = ", ".join(f"{abs(v):.3g} {'rad' if c in ANGLES else 'm'} in {c}" for c, v in offsets.items())
     text = f"it comes to rest {errors} off its set-point ({found.text or 'at rest'})"
-    return WholeLoop("off the set-point", found.pole, text, offset)
+    return FullLoop("off the set-point", found.pole, text, offset)
 
 
 # --- tried by simulation --------------------------------------------------------------------------
-def _simulated(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[str, float]) -> WholeLoop:
+def _simulated(gains: GainSet, region: Region, found: FullLoop, rest: Mapping[str, float]) -> FullLoop:
     """The verdict after simulations of the whole loop; a start that it does not come back from refutes it."""
     from undertow.control.closed_loop.scenario import Scenario
     from undertow.control.closed_loop.simulate import ClosedLoop, Runs
 
     starts = _starts(gains, region)
     slowest = -found.pole.real if found.pole is not None else 1.0
-    duration = float(np.clip(SETTINGS.lasts / max(slowest, SETTINGS.slowest), *SETTINGS.durations))
+    duration = float(
+        np.clip(SETTINGS.time_constants / max(slowest, SETTINGS.slowest_decay), *SETTINGS.durations)
+    )
     loop = ClosedLoop(gains)
 
     def run(dt: float) -> Runs:
@@ -250,19 +257,19 @@ def _simulated(gains: GainSet, region: Region, found: WholeLoop, rest: Mapping[s
         runs = run(SETTINGS.dt)
     except UndertowError:
         runs = run(SETTINGS.dt / 10)
-    left = _errors_left(gains, runs.states[:, -1], rest, starts)
-    worst = int(np.argmax(left))
+    residuals = _residual_errors(gains, runs.states[:, -1], rest, starts)
+    worst = int(np.argmax(residuals))
     # A loop too slow for the longest simulation has to do what its slowest pole says, with some slack.
-    allowed = max(SETTINGS.comes_back, SETTINGS.slack * math.exp(-slowest * duration))
-    words = f"{len(left)} starts at rest, errors of {_sizes(starts)}, {duration:.0f} s each"
-    if not left[worst] <= allowed:
+    allowed = max(SETTINGS.largest_residual, SETTINGS.pole_slack * math.exp(-slowest * duration))
+    summary = f"{len(residuals)} starts at rest, errors of {_error_sizes(starts)}, {duration:.0f} s each"
+    if not residuals[worst] <= allowed:
         start = ", ".join(f"{n} = {float(v[worst] + rest[n]):.3g}" for n, v in starts.items())
         text = f"simulated for {duration:.0f} s from {start} it does not come back"
-        return replace(found, verdict="unstable", pole=None, text=text, simulated=words)
-    return replace(found, simulated=f"{words}: all come back")
+        return replace(found, verdict="unstable", pole=None, text=text, simulated=summary)
+    return replace(found, simulated=f"{summary}: all come back")
 
 
-def _sizes(starts: Mapping[str, Array]) -> str:
+def _error_sizes(starts: Mapping[str, Array]) -> str:
     """How far off the starts are, in words."""
     sizes = {c: float(np.abs(values).max()) for c, values in starts.items()}
     return ", ".join(
@@ -272,29 +279,29 @@ def _sizes(starts: Mapping[str, Array]) -> str:
 
 def _starts(gains: GainSet, region: Region) -> dict[str, Array]:
     """Corners of the errors that the region allows, at most a metre and half a radian, signs mixed."""
-    rng = np.random.default_rng(SETTINGS.starts)
+    rng = np.random.default_rng(SETTINGS.simulated_starts)
     most = {c: (0.5 if c in ANGLES else 1.0) for c in gains.signals.coordinates}
     share = 1 / math.sqrt(len(most))  # a corner of a box within an ellipsoid of V
     return {
-        c: rng.choice((-1.0, 1.0), SETTINGS.starts) * min(m, share * region.errors.get(c, math.inf))
+        c: rng.choice((-1.0, 1.0), SETTINGS.simulated_starts) * min(m, share * region.errors.get(c, math.inf))
         for c, m in most.items()
     }
 
 
-def _errors_left(
+def _residual_errors(
     gains: GainSet, states: Array, rest: Mapping[str, float], starts: Mapping[str, Array]
 ) -> Array:
     """Largest error at the end, from where the loop rests, of pushed axes, in units of the start's."""
     plant, names = gains.plant, gains.signals.coordinates
     inverse = function_of(list(plant.eta), plant.J_inverse.tolist())
-    pushed = [i for i, d in enumerate(plant.vehicle.degrees_of_freedom) if d not in gains.unactuated]
-    turns = np.array([c in ANGLES for c in names])
+    actuated = [i for i, d in enumerate(plant.vehicle.degrees_of_freedom) if d not in gains.unactuated]
+    angular = np.array([c in ANGLES for c in names])
     first = np.abs([starts[c][0] for c in names])
-    scale = np.array([max(first[turns == turn]) for turn in turns])
+    scale = np.array([max(first[angular == is_angle]) for is_angle in angular])
     error = states[:, : len(names)] - np.array([rest[c] for c in names])
-    error = np.where(turns, (error + np.pi) % (2 * np.pi) - np.pi, error)
+    error = np.where(angular, (error + np.pi) % (2 * np.pi) - np.pi, error)
     found = []
-    for pose, left in zip(states, error, strict=True):
-        body = np.array(inverse(*pose[: len(names)]), dtype=float) @ left
-        found.append(np.max(np.abs(body / scale)[pushed]))
+    for pose, residual in zip(states, error, strict=True):
+        body = np.array(inverse(*pose[: len(names)]), dtype=float) @ residual
+        found.append(np.max(np.abs(body / scale)[actuated]))
     return np.nan_to_num(found, nan=np.inf)
