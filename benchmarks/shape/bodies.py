@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.shape.bodies import AddedMass, box, cylinder, ellipsoid, equivalent, prolate_spheroid, sphere
-from undertow.shape.mesh import Mesh, mended
+from undertow.shape.mesh import Mesh, repaired
 from undertow.shape.panels import added_mass_of_hull
 from undertow.typing import Progress
 
@@ -84,7 +84,7 @@ def measure(finest: int, report: Progress) -> list[Measured]:
     found, cases = [], _cases()
     for i, (group, body, drawn, simple) in enumerate(cases):
         report(i / len(cases), body)
-        mesh, _ = mended(drawn, body)
+        mesh, _ = repaired(drawn, body)
         mesh = mesh.moved(-mesh.centroid)
         by_panels = added_mass_of_hull(mesh, RHO, finest=finest).added
         numbers = (np.diag(m) for m in (simple(mesh).matrix, by_panels.matrix, by_panels.error))

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from undertow.errors import UndertowError
 from undertow.figures import COLOURS, FAINT, figure, look, save_png
 from undertow.files import write_whole
-from undertow.shape.afloat import fit_memory, heading_error
 from undertow.shape.bodies import AddedMass
-from undertow.shape.floating import Afloat, FloatingBody
+from undertow.shape.floating import FloatingBody, FloatingHull
+from undertow.shape.floating_vehicle import fit_memory, heading_error
 from undertow.typing import Progress
 
 from ..progress import clear, progress_line
@@ -86,11 +86,11 @@ def against_wamit(finest: int) -> tuple[list[dict[str, Any]], int]:
     return rows, body.panels
 
 
-def afloat(stored: dict[str, Any]) -> Afloat:
+def afloat(stored: dict[str, Any]) -> FloatingHull:
     """The surface vehicle out of stored results."""
     infinity = AddedMass(np.array(stored["infinity"]), "", "", np.zeros((6, 6)))
     omega, added, damping = (np.array(stored[n]) for n in ("omega", "A", "B"))
-    return Afloat(
+    return FloatingHull(
         np.zeros(3), stored["draught"], stored["length"], np.eye(6), infinity, omega, added, damping,
         stored["panels"],
     )  # fmt: skip
@@ -120,7 +120,7 @@ def _draw_sphere(axes: Any, rows: list[dict[str, Any]]) -> None:
     axes.legend(fontsize=8, ncols=2)
 
 
-def _draw_memory(axes: Any, hull: Afloat) -> None:
+def _draw_memory(axes: Any, hull: FloatingHull) -> None:
     fine = np.geomspace(hull.omega[0], hull.omega[-1], 200)
     for i, colour in ((2, COLOURS[0]), (1, COLOURS[1])):
         axes.plot(hull.omega, hull.damping[:, i, i], "o", ms=4, color=colour, label=f"{MOTIONS[i]}, panels")

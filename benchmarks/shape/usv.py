@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from undertow.shape.mesh import Mesh, mended
+from undertow.shape.mesh import Mesh, repaired
 
 LENGTH, BEAM, DEPTH = 2.0, 0.60, 0.40  # m
 MASS, CG = 90.0, -0.02  # kg; centre of gravity under (+) the waterline, m
@@ -26,4 +26,4 @@ def usv_hull(stations: int = 25, around: int = 13) -> Mesh:
             faces += [[a, b, a + around], [b, b + around, a + around]]
     stern = [[0, i + 1, i] for i in range(1, around - 1)]
     ends = np.array([*faces, *stern])
-    return mended(Mesh(rings, ends), "usv")[0]
+    return repaired(Mesh(rings, ends), "usv")[0]

@@ -68,7 +68,7 @@ def samples() -> dict[str, np.ndarray]:
     rates = np.concatenate(parts, axis=1)[6:12] + 0.1 * rng.standard_normal((6, SAMPLES))
     names = (*f.state_names, *(f"{n}_dot" for n in f.vehicle.velocity_names), *f.vehicle.command_names)
     columns = dict(zip(names, np.vstack([x, rates, u]), strict=True))
-    return {name: np.ascontiguousarray(columns[name]) for name in fit().needed}
+    return {name: np.ascontiguousarray(columns[name]) for name in fit().used_inputs}
 
 
 def some(count: int) -> dict[str, np.ndarray]:
@@ -108,7 +108,7 @@ class ByNumPy:
     def fill(self, flat: np.ndarray, columns: dict[str, np.ndarray]) -> None:
         """Write regressor and target, (6 n, 31)."""
         count, known = len(next(iter(columns.values()))), self.known
-        given = dict(zip(known.needed, columns.values(), strict=True))
+        given = dict(zip(known.used_inputs, columns.values(), strict=True))
         p, offset = vehicle.functions().values(), np.cumsum([0, 12, 6, 8])
         table = flat.reshape(count, known.degrees, len(NAMES) + 1)
         table[:] = 0.0

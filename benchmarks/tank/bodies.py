@@ -17,8 +17,8 @@ from benchmarks.shape.hulls import box_mesh, cylinder_mesh, revolved
 from undertow.files import make_folder, together, write_whole
 from undertow.model.symbols import DOFS
 from undertow.shape.bodies import box, prolate_spheroid, sphere
-from undertow.shape.mesh import Mesh, mended, stl_bytes
-from undertow.tank.case import Orders, make_tank, write_tank
+from undertow.shape.mesh import Mesh, repaired, stl_bytes
+from undertow.tank.case import TankPlan, make_tank, write_tank
 from undertow.tank.coefficients import Coefficient, Record, coefficients, convergence, read_record
 from undertow.tank.pictures import picture
 from undertow.tank.run import run_tank
@@ -61,7 +61,7 @@ class Body:
 
     title: str
     hull: Callable[[], Mesh]
-    orders: Orders
+    orders: TankPlan
     grids: int
     truth: dict[str, float]
     source: str
@@ -76,15 +76,15 @@ def _lamb(matrix: Any) -> dict[str, float]:
     )
 
 
-def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool = True) -> Orders:
-    return Orders(mass, motions=motions, profiles=("push",), prescribed=prescribed)
+def _push(mass: float, motions: tuple[str, ...] = ("surge",), prescribed: bool = True) -> TankPlan:
+    return TankPlan(mass, motions=motions, profiles=("push",), prescribed=prescribed)
 
 
 _SPHERE = _lamb(sphere(RADIUS).matrix)
 _BOX = _lamb(box(*BOX).matrix)
 _PANELS = {"X_udot": 0.6404, "Z_wdot": 9.69, "N_rdot": 0.06621}  # of the AUV: docs/story.md
-_STEP = Orders(60.48, profiles=("step",), prescribed=True, step=4.0)
-_VISCOUS = Orders(
+_STEP = TankPlan(60.48, profiles=("step",), prescribed=True, step=4.0)
+_VISCOUS = TankPlan(
     65.4, profiles=("step",), prescribed=True, viscosity=0.0015
 )  # Reynolds 50 and 100 at 0.3 m/s
 
@@ -96,7 +96,7 @@ BODIES = {
     "sphere-shallow": Body(
         "the same sphere, its centre one diameter below the surface",
         lambda: _spheroid(RADIUS, RADIUS),
-        Orders(65.3, motions=("surge", "heave"), profiles=("push",), prescribed=True, depth=2 * RADIUS),
+        TankPlan(65.3, motions=("surge", "heave"), profiles=("push",), prescribed=True, depth=2 * RADIUS),
         3,
         {
             "X_udot": 32.0,
@@ -136,7 +136,7 @@ BODIES = {
     "box-forced": Body(
         "the same box, steps of 5 N for 10 s",
         lambda: box_mesh(BOX),
-        Orders(60.48, profiles=("step",), force=5.0),
+        TankPlan(60.48, profiles=("step",), force=5.0),
         3,
         _BOX,
         "panels",
@@ -144,7 +144,7 @@ BODIES = {
     "box-bare": Body(
         "the same, without layers",  # as the run that is shipped
         lambda: box_mesh(BOX),
-        Orders(60.48, profiles=("step",), force=5.0),
+        TankPlan(60.48, profiles=("step",), force=5.0),
         1,
         _BOX,
         "panels",
@@ -156,7 +156,7 @@ BODIES = {
     "re200": Body(
         "sphere, Reynolds 150 and 200",
         lambda: _spheroid(RADIUS, RADIUS),
-        Orders(65.4, profiles=(BALL,), prescribed=True, viscosity=0.00075, step=4.0, grids=4),
+        TankPlan(65.4, profiles=(BALL,), prescribed=True, viscosity=0.00075, step=4.0, grids=4),
         3,
         {},
         "",
@@ -165,7 +165,7 @@ BODIES = {
     "cylinder": Body(
         "cylinder across, without ends",
         _cylinder,
-        Orders(393.0, profiles=("push",), prescribed=True, span="y"),
+        TankPlan(393.0, profiles=("push",), prescribed=True, span="y"),
         3,
         {"X_udot": 1000.0 * np.pi * RADIUS**2 * 2.0},
         "Lamb",
@@ -173,7 +173,7 @@ BODIES = {
     "cylinder-drag": Body(
         "the same cylinder, Reynolds 20 and 40",
         _cylinder,
-        Orders(393.0, profiles=(CYLINDER,), prescribed=True, viscosity=0.00375, span="y", step=4.0),
+        TankPlan(393.0, profiles=(CYLINDER,), prescribed=True, viscosity=0.00375, span="y", step=4.0),
         3,
         {},
         "",
@@ -183,7 +183,7 @@ BODIES = {
     "bullet": Body(
         "half-sphere before a cylinder, 0.5 x 0.5 m",
         _bullet,
-        Orders(80.0, profiles=("push", "step"), prescribed=True),
+        TankPlan(80.0, profiles=("push", "step"), prescribed=True),
         3,
         {
             "X_udot": 44.6
@@ -194,7 +194,7 @@ BODIES = {
     "bullet-back": Body(
         "the same, flat end first for 20 diameters",
         _bullet,
-        Orders(80.0, profiles=(BULLET,), prescribed=True, step=4.0),
+        TankPlan(80.0, profiles=(BULLET,), prescribed=True, step=4.0),
         3,
         {},
         "",
@@ -202,7 +202,7 @@ BODIES = {
     "auv": Body(
         "small AUV, 0.60 m, 7.5 kg",
         auv_hull,
-        Orders(MASS, profiles=("push", "step"), prescribed=True, grids=4),
+        TankPlan(MASS, profiles=("push", "step"), prescribed=True, grids=4),
         4,
         _PANELS,
         "panels",
@@ -212,7 +212,7 @@ BODIES = {
     "auv-across": Body(
         "the same AUV",
         auv_hull,
-        Orders(MASS, motions=("heave", "yaw"), profiles=("push", "step"), prescribed=True, grids=4),
+        TankPlan(MASS, motions=("heave", "yaw"), profiles=("push", "step"), prescribed=True, grids=4),
         3,
         _PANELS,
         "panels",
@@ -222,7 +222,7 @@ BODIES = {
     "auv-paper": Body(
         "the same AUV, pushed by the forces of the paper",
         auv_hull,
-        Orders(MASS, motions=("surge", "heave", "yaw"), profiles=("paper",), step=4.0),
+        TankPlan(MASS, motions=("surge", "heave", "yaw"), profiles=("paper",), step=4.0),
         1,
         {},
         "",
@@ -237,7 +237,7 @@ def made(name: str, work: Path) -> Tank:
     """The tank of a body, written into a folder if it is not there."""
     body, root = BODIES[name], work / name
     if not (root / FILE).exists():
-        surface = mended(body.hull(), name)[0]
+        surface = repaired(body.hull(), name)[0]
         written = sha256(stl_bytes(surface)).hexdigest()
         tank, hull = make_tank(surface, body.orders, f"{name}.stl", written)
         ratio = tank.refinement if body.coarser else 1.0
@@ -328,7 +328,7 @@ def ship(name: str, work: Path) -> None:
     with together():
         make_folder(target / "logs")
         if name == "auv":  # the other tanks of the benchmark have the same hull
-            write_whole(AUV_STL, stl_bytes(mended(BODIES[name].hull(), name)[0]))
+            write_whole(AUV_STL, stl_bytes(repaired(BODIES[name].hull(), name)[0]))
         write_whole(target / FILE, kept.text())
         for log in done.values():
             for path in (log, log.with_suffix(".toml")):
@@ -386,7 +386,7 @@ def _seconds(log: Path) -> int:
 def _drag(name: str, root: Path, tank: Tank) -> list[dict[str, Any]]:
     """Drag coefficients on the silhouette at the end of each speed of the steps, on all grids."""
     body, rows = BODIES[name], []
-    hull = mended(body.hull(), name)[0]
+    hull = repaired(body.hull(), name)[0]
     steps = [
         c for c in tank.cases if c.profile in ("step", "table") and c.prescribed and c.motion in DOFS[:3]
     ]

@@ -19,7 +19,7 @@ from undertow.model.loading import load_vehicle
 from undertow.model.plausibility import hints, mass_matrix_at
 from undertow.model.vehicle import Vehicle
 from undertow.shape.bodies import ellipsoid, equivalent, transformed
-from undertow.shape.first import HullRules, drag_of_hull
+from undertow.shape.hull_vehicle import HullRules, drag_of_hull
 
 Capture = pytest.CaptureFixture[str]
 MESH = ["vehicle", "new", "--mesh", "box.stl", "--unit", "mm", "--mass", "60"]
@@ -167,7 +167,7 @@ def test_one_line_for_each_wrong_wish(words: list[str], message: str, hulls: Pat
 def test_drag_of_a_box_by_strips(monkeypatch: pytest.MonkeyPatch) -> None:
     a, b, c = 0.60, 0.42, 0.24
     with monkeypatch.context() as without_friction:
-        without_friction.setattr("undertow.shape.first._RULES", HullRules(friction=0.0))
+        without_friction.setattr("undertow.shape.hull_vehicle._RULES", HullRules(friction=0.0))
         found = drag_of_hull(box_mesh(), 1000.0, cd=(0.9, 1.0, 1.2))
     forces = 500 * np.array([0.9 * b * c, 1.0 * a * c, 1.2 * a * b])
     np.testing.assert_allclose(found.coefficients[:3], forces, rtol=1e-6)

@@ -138,7 +138,7 @@ def test_libraries_without_use_are_forgotten(counted: Counted) -> None:
     foreign.write_text("not ours")
     for path in (library, _manifest(), foreign):
         os.utime(path, (0, 0))
-    compiler._forget_old.cache_clear()
+    compiler._remove_old.cache_clear()
     library_for(SOURCE.replace("42", "43"), counted)
     assert not library.exists()
     assert foreign.exists()
@@ -181,7 +181,7 @@ def test_what_a_killed_build_left_goes_after_an_hour(counted: Counted) -> None:
         (running,) = set(folder.glob("build-*")) - {left}
         hour_ago = time.time() - 3700.0
         os.utime(left, (hour_ago, hour_ago))
-        compiler._forget_old.cache_clear()  # it is looked once in a process
+        compiler._remove_old.cache_clear()  # it is looked once in a process
         library_for(SOURCE, counted)
         assert list(folder.glob("build-*")) == [running]
         alive.communicate()

@@ -147,7 +147,7 @@ def test_pitch_counts_where_gains_tell_depth_from_the_level_though_j_is_a_rotati
     turn = np.array([[0.5, np.sqrt(0.75)], [-np.sqrt(0.75), 0.5]])
     block = np.diag([10.0, 1.0]) + turn @ np.diag([1.0, 30.0]) @ turn.T
     margin_bound = np.linalg.eigvalsh(block)[0]
-    assert 0.1 * margin_bound < found.bound <= found.least_found == pytest.approx(margin_bound, rel=1e-6)
+    assert 0.1 * margin_bound < found.bound <= found.least == pytest.approx(margin_bound, rel=1e-6)
 
 
 def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
@@ -162,12 +162,12 @@ def test_euler_angles_are_bounded_by_interval_arithmetic() -> None:
         return least_eigenvalue(turn @ weight @ inverse)
 
     found = margin_bound(margin, attitudes, yaw_invariant=True)
-    assert 0 < found.bound <= found.least_found
-    assert found.bound > 0.9 * BOUNDS.share * found.least_found
+    assert 0 < found.bound <= found.least
+    assert found.bound > 0.9 * BOUNDS.share * found.least
     drawn = RNG.uniform(-1, 1, (2000, 3)) * [np.pi / 3, np.pi / 3, np.pi]
     angles = dict(zip(("phi", "theta", "psi"), drawn.T, strict=True))
     values = margin(attitudes.inverse({a: Interval(v, v) for a, v in angles.items()}).middle)
-    assert min(values) >= found.least_found * (1 - 1e-9)
+    assert min(values) >= found.least * (1 - 1e-9)
     assert abs(found.worst["theta"]) == pytest.approx(np.pi / 3, abs=1e-3)
 
 
@@ -235,7 +235,7 @@ def test_a_proof_that_would_take_too_many_boxes_is_given_up_early() -> None:
         return least_eigenvalue(M - M + 1e-6 * np.eye(6))
 
     found = margin_bound(margin, attitudes, yaw_invariant=True)
-    assert found.bound < 0 < found.least_found
+    assert found.bound < 0 < found.least
     boxes = int(found.proof.split("on ")[-1].split()[0])
     assert BOUNDS.first_boxes < boxes < 4 * BOUNDS.first_boxes
 

@@ -11,7 +11,7 @@ import pytest
 from undertow.control import close_loop, family, find_trim, linearize, lqg, lqr
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.analysis import modes
-from undertow.control.linear.family import CORNER, parameter_covariance
+from undertow.control.linear.family import CORNER, spread_of
 from undertow.control.linear.report import analyse
 from undertow.errors import UndertowError
 from undertow.model.effects.actuation_delay import ActuationDelay
@@ -194,11 +194,11 @@ matrix = [[1e-6, 2e-4], [2e-4, 0.25]]
 """
     path = tmp_path / "fitted.toml"
     path.write_text(text + history)
-    found = parameter_covariance(load_vehicle(path), path)
+    found = spread_of(load_vehicle(path), path)
     assert found.names[:2] == ("N_r", "X_uabsu_forward")
     np.testing.assert_allclose(found.covariance[:2, :2], [[1e-6, 2e-4], [2e-4, 0.25]])
     assert found.covariance[0, 2:].tolist() == [0.0] * (len(found.names) - 2)
-    assert len(found.names) == len(parameter_covariance(auv).names)
+    assert len(found.names) == len(spread_of(auv).names)
     assert "covariance of the last fit for 2" in found.source
 
 

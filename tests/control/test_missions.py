@@ -419,7 +419,7 @@ def test_commands_on_a_reference_include_the_jump_of_a_sliding_mode_either_way(l
     (row,) = (r for r in check_mission(gains, where).rows if r.condition == "commands")
     reference = where.reference(gains)
     controller = Controller(gains, reference)
-    profile, share = reference.profile, controller.allocation.force_to_commands
+    profile, share = reference.profile, controller.allocation.B_inverse
     place, worst = controller.state_names.index("mission_time"), 0.0
     for t in np.linspace(0, profile.duration, 400):
         pose, rate = profile.at(np.array([t]))[0], profile.at(np.array([t]), 1)[0]

@@ -19,9 +19,10 @@ from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions import transient
 from undertow.control.conditions.attitude import enclose
 from undertow.control.conditions.full_loop import certify
-from undertow.control.conditions.motion import SETTINGS as KERNELS
-from undertow.control.conditions.motion import DrivenMotion, PoseLoop, Responses, StartBox, modes, time_grid
+from undertow.control.conditions.motion import DrivenMotion, PoseLoop, StartBox
 from undertow.control.conditions.problem import Problem, Span
+from undertow.control.conditions.responses import SETTINGS as KERNELS
+from undertow.control.conditions.responses import Responses, modes, time_grid
 from undertow.control.conditions.result import Transient
 from undertow.control.conditions.transient import (
     PushBounds,
@@ -272,12 +273,10 @@ def test_commands_at_the_opposite_heading_are_below_the_bounds_of_the_mirror_ima
     closest, one_sided = 0.0, 0.0
     for z in 1e-4 * rng.normal(size=(200, 18)):
         (most,) = bounds.commands(np.abs(sector.rows @ (np.tile(seen, 3) * z))[None])
-        asked = np.abs(motion.commands.force_to_commands @ force @ z + motion.restoring_rows @ z[6:12])
+        asked = np.abs(motion.commands.B_inverse @ force @ z + motion.restoring_rows @ z[6:12])
         assert (asked <= most - motion.commands.steady() + 1e-12).all()
         closest = max(closest, float((asked / (most - motion.commands.steady())).max()))
-        alone = np.abs(
-            motion.commands.force_to_commands @ motion.law_matrices(0.7)[0] @ (np.tile(seen, 3) * z)
-        )
+        alone = np.abs(motion.commands.B_inverse @ motion.law_matrices(0.7)[0] @ (np.tile(seen, 3) * z))
         one_sided = max(one_sided, float((asked / alone).max()))
     assert closest > 0.99
     assert one_sided > 2  # the bounds of one side alone would be too small

@@ -19,7 +19,7 @@ from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.fleet.changes import FleetReport
 from undertow.fleet.diagnose import Store, diagnose
-from undertow.fleet.engine import DaskEngine, Failure, InProcess, Waiting, engine
+from undertow.fleet.engine import DaskEngine, Failure, InProcess, Timeouts, engine
 from undertow.fleet.reduction import Job
 from undertow.fleet.rollouts import RolloutJob, rollouts
 
@@ -102,7 +102,7 @@ def test_any_scheduler_will_do(cluster: DaskEngine) -> None:
 def test_a_scheduler_that_is_not_there_is_refused(
     cluster: DaskEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(scheduler=1.0))
+    monkeypatch.setattr("undertow.fleet.engine.TIMEOUTS", Timeouts(scheduler=1.0))
     with pytest.raises(UndertowError, match=r"127\.0\.0\.1:9' does not answer"), engine("tcp://127.0.0.1:9"):
         pass
     with pytest.raises(UndertowError, match="does not answer"), engine("nonsense://"):
@@ -127,7 +127,7 @@ def test_what_is_no_address_is_refused_once_and_for_all(
 ) -> None:
     """Nothing of a client is left that complains when it is thrown away."""
     complaints: list[Any] = []
-    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(scheduler=0.1))
+    monkeypatch.setattr("undertow.fleet.engine.TIMEOUTS", Timeouts(scheduler=0.1))
     monkeypatch.setattr("sys.unraisablehook", complaints.append)
     with pytest.raises(UndertowError, match="does not answer"), engine(address):
         pass
@@ -214,7 +214,7 @@ class _Deaf:
 
 @pytest.mark.parametrize(("workers", "words"), [(2, "no answer of any worker"), (0, "no worker")])
 def test_silence_comes_to_an_end(workers: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("undertow.fleet.engine.WAITING", Waiting(poll=0.01, workerless=0.05))
+    monkeypatch.setattr("undertow.fleet.engine.TIMEOUTS", Timeouts(poll=0.01, workerless=0.05))
     client = _Deaf(workers)
     found = dict(DaskEngine(client, patience=0.1).results(abs, [(1,), (2,)]))
     assert all(words in failure.words for failure in found.values())

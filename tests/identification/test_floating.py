@@ -16,10 +16,17 @@ from benchmarks.shape.usv import CG, MASS, usv_hull
 from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.symbols import VELOCITY, signals, symbol
-from undertow.shape.afloat import FloatingVehicle, Memory, WaveSpec, fit_memory, floating_vehicle, under_water
 from undertow.shape.bodies import AddedMass
-from undertow.shape.first import HullSpec
-from undertow.shape.floating import Afloat, FloatingBody
+from undertow.shape.floating import FloatingBody, FloatingHull
+from undertow.shape.floating_vehicle import (
+    FloatingVehicle,
+    Memory,
+    WaveSpec,
+    fit_memory,
+    floating_vehicle,
+    immersed_part,
+)
+from undertow.shape.hull_vehicle import HullSpec
 from undertow.shape.mesh import has_capytaine
 
 panels = pytest.mark.skipif(not has_capytaine(), reason="needs capytaine")
@@ -27,14 +34,14 @@ OMEGA = np.geomspace(0.3, 9.0, 24)
 G, RHO = 9.81, 1000.0
 
 
-def hull_with(memory: Memory) -> Afloat:
+def hull_with(memory: Memory) -> FloatingHull:
     """A hull whose frequency-dependent part is exactly that of a state-space model."""
     added, damping = np.zeros((2, len(OMEGA), 6, 6))
     for i in memory.stiffness:
         kernel = memory.kernel(i, OMEGA)
         damping[:, i, i], added[:, i, i] = kernel.real, kernel.imag / OMEGA + 5.0
     still = AddedMass(5.0 * np.eye(6), "stated", "none", np.zeros((6, 6)))
-    return Afloat(np.zeros(3), 1.0, 2.0, np.eye(6), still, OMEGA, added, damping, 100)
+    return FloatingHull(np.zeros(3), 1.0, 2.0, np.eye(6), still, OMEGA, added, damping, 100)
 
 
 SWINGING = Memory(2, {0: 40.0, 2: 300.0, 4: 70.0}, {0: 0.5, 2: 0.3, 4: 0.4}, {0: 3.0, 2: 2.0, 4: 2.5}, {})
@@ -97,7 +104,7 @@ def test_what_is_computed_from_a_shape_is_never_searched_for_in_a_log() -> None:
 
 def test_hull_under_water_is_what_the_plane_leaves_of_it() -> None:
     box = box_mesh((0.6, 0.4, 0.2))
-    wet = under_water(box.moved(np.array([0.0, 0.0, 0.04])))
+    wet = immersed_part(box.moved(np.array([0.0, 0.0, 0.04])))
     assert wet.volume == pytest.approx(0.6 * 0.4 * 0.14, rel=1e-3)
     assert wet.projected_area(2) == pytest.approx(0.24, rel=0.02)
 

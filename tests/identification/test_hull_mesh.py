@@ -1,4 +1,4 @@
-"""Hulls out of files: what they enclose, what is mended, and how they are cut into panels."""
+"""Hulls out of files: what they enclose, what is repaired, and how they are cut into panels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.shape.hulls import SIDES, ball, box_mesh, cylinder_mesh, spheroid_mesh, stl
 from undertow.errors import UndertowError
-from undertow.shape.mesh import Mesh, base_mesh, bisected, mended, read_hull
+from undertow.shape.mesh import Mesh, base_mesh, bisected, read_hull, repaired
 from undertow.shape.panels import curved, panels
 
 FLU = np.diag([1.0, -1.0, -1.0])
@@ -179,12 +179,12 @@ def test_an_unlikely_size(tmp_path: Path, scale: float, likely: str) -> None:
 
 def test_triangles_that_look_inward_are_turned() -> None:
     box = box_mesh()
-    inward, remarks = mended(Mesh(box.vertices, box.faces[:, ::-1]), "hull")
+    inward, remarks = repaired(Mesh(box.vertices, box.faces[:, ::-1]), "hull")
     assert inward.volume == pytest.approx(box.volume)
     assert remarks == ("all triangles faced inward: flipped",)
     faces = box.faces.copy()
     faces[[2, 7]] = faces[[2, 7], ::-1]
-    some, remarks = mended(Mesh(box.vertices, faces), "hull")
+    some, remarks = repaired(Mesh(box.vertices, faces), "hull")
     assert some.volume == pytest.approx(box.volume)
     assert remarks == ("2 triangles faced the opposite way to their neighbours: flipped",)
 
@@ -194,14 +194,14 @@ def test_an_open_hull_is_refused_with_the_place() -> None:
     with pytest.raises(
         UndertowError, match=r"hull: the hull is open: 3 edges belong to 1 triangle.* near \("
     ):
-        mended(Mesh(box.vertices, box.faces[1:]), "hull")
+        repaired(Mesh(box.vertices, box.faces[1:]), "hull")
 
 
 def test_a_wall_inside_is_refused() -> None:
     box = box_mesh()
     wall = [[0, 1, 6], [1, 7, 6]]
     with pytest.raises(UndertowError, match="instead of 2"):
-        mended(Mesh(box.vertices, np.concatenate([box.faces, wall])), "hull")
+        repaired(Mesh(box.vertices, np.concatenate([box.faces, wall])), "hull")
 
 
 def test_several_bodies_are_refused() -> None:
@@ -211,13 +211,13 @@ def test_several_bodies_are_refused() -> None:
         np.concatenate([one.faces, other.faces + len(one.vertices)]),
     )
     with pytest.raises(UndertowError, match=r"2 separate bodies \(0.0605, 0.001 m\^3\)"):
-        mended(both, "hull")
+        repaired(both, "hull")
 
 
 def test_triangles_that_stand_there_twice_and_slivers_go() -> None:
     box = box_mesh()
     faces = np.concatenate([box.faces, box.faces[:2], [[0, 0, 1]]])
-    mesh, _ = mended(Mesh(box.vertices, faces), "hull")
+    mesh, _ = repaired(Mesh(box.vertices, faces), "hull")
     assert len(mesh.faces) == 12
 
 
@@ -231,7 +231,7 @@ def test_cutting_keeps_a_flat_hull_as_it_is() -> None:
     assert sides.max() <= 0.1
     assert fine.volume == pytest.approx(box.volume, rel=1e-12)
     assert fine.areas.sum() == pytest.approx(box.areas.sum(), rel=1e-12)
-    assert mended(fine, "cut")[1] == ()  # still closed, without a loose end
+    assert repaired(fine, "cut")[1] == ()  # still closed, without a loose end
 
 
 def test_panels_of_a_box_are_three_flat_meshes() -> None:
@@ -281,7 +281,7 @@ def test_a_box_has_no_curves() -> None:
 
 def test_the_rim_of_a_cylinder_stays_sharp() -> None:
     pytest.importorskip("igl", reason="simplifying needs undertow[bem]")
-    drawn = mended(cylinder_mesh(2.0, 1.0, 24), "cylinder")[0]
+    drawn = repaired(cylinder_mesh(2.0, 1.0, 24), "cylinder")[0]
     _, _, fine = panels(drawn, 3200)
     np.testing.assert_allclose(fine.extents[0], 2.0, rtol=1e-9)
     assert fine.volume == pytest.approx(np.pi / 2, rel=0.01)

@@ -209,7 +209,7 @@ def test_normal_equations_alone_would_not_do() -> None:
 
 
 def test_only_what_rows_need_is_asked_for() -> None:
-    needed = fit(compiled=False).needed
+    needed = fit(compiled=False).used_inputs
     assert not {"x", "y", "z", "psi", "t"} & {*needed}
     log = samples(50)
     del log["q_dot"]

@@ -65,7 +65,7 @@ def test_a_filter_that_lost_its_track_is_not_honest() -> None:
     still = dict.fromkeys(("u_dot", "v_dot", "w_dot", "r_dot"), 1e-5)
     stiff = observe(auv(), run, disturbance=still)
     assert "r" in stiff.lost
-    assert not stiff.honest
+    assert not stiff.consistent
     assert not observe(auv(), run).lost
 
 
@@ -92,7 +92,7 @@ def test_the_noise_that_drives_the_motion_is_found() -> None:
     found = observe(auv(), run, process="model", method="ekf")
     for name, true in DRIVE.items():
         assert found.disturbance[name] == pytest.approx(true, rel=0.35)
-    assert found.nis[-1].honest
+    assert found.nis[-1].consistent
     assert found.noise["x"] == NOISE["x"]
     table = observer_file(found, [run], "found")
     again = design(ObserverTable.model_validate(tomllib.loads(table)), auv())

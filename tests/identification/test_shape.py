@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from undertow.errors import UndertowError
 from undertow.shape.bodies import cylinder, ellipsoid, prolate_spheroid, sphere, transformed
-from undertow.shape.first import entry
+from undertow.shape.hull_vehicle import entry
 
 RHO = 1000.0
 

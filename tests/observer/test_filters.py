@@ -196,7 +196,7 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(estimates) -> No
     low, high = nees_bounds(len(process.state_names), len(values))
     assert low < values.mean() < high
     squares = [nis([found], process.channels)[-1] for _, found, _ in estimates]
-    assert sum(one.honest for one in squares) >= 8
+    assert sum(one.consistent for one in squares) >= 8
     white = [one.white for _, found, _ in estimates for one in whiteness([found], process.channels)]
     assert len(white) == 50
     assert sum(white) >= 46
@@ -285,8 +285,8 @@ def test_the_noise_is_found_from_a_guess_with_which_the_filter_loses_its_track()
     first = np.zeros(len(what.state_names)), UNKNOWN.covariance(what)
     free = np.ones(4, dtype=bool)
     lost = Observer(what, np.full(4, 1e-10)).run(reports, *first)
-    assert (reports.there & ~lost.used).sum() > 500
+    assert (reports.present & ~lost.used).sum() > 500
     found = Observer(what, most_likely(what, reports, *first, np.full(4, 1e-10), free)).run(reports, *first)
-    assert found.used[reports.there].all()
+    assert found.used[reports.present].all()
     usual = Observer(what, most_likely(what, reports, *first, np.full(4, 1e-2), free)).run(reports, *first)
     assert abs(found.log_likelihood - usual.log_likelihood) < 5

@@ -39,8 +39,8 @@ def test_a_consistent_filter_is_within_its_bounds_as_often_as_they_say(runs) -> 
     assert [one.name for one in tests[0]] == ["position", "velocity", "all"]
     least = binom.ppf(0.005, RUNS, 0.95)
     for group in range(3):
-        assert sum(test[group].honest for test in tests) >= least
-    assert nees(runs)[-1].honest
+        assert sum(test[group].consistent for test in tests) >= least
+    assert nees(runs)[-1].consistent
     assert nees(runs)[-1].high < tests[0][-1].high
 
 
@@ -55,7 +55,7 @@ def test_the_variance_of_the_mean_is_that_of_many_runs(runs) -> None:
 @pytest.mark.parametrize(("misjudged", "sure"), [(0.5, True), (2.0, False)])
 def test_noise_misjudged_by_two_is_seen(misjudged: float, sure: bool) -> None:
     found = nees([run(seed, misjudged) for seed in range(20)])[-1]
-    assert not found.honest
+    assert not found.consistent
     assert (found.mean > found.high) == sure
 
 

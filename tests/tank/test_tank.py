@@ -20,7 +20,7 @@ from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle
 from undertow.shape.bodies import prolate_spheroid, sphere
 from undertow.shape.mesh import Mesh, read_hull, stl_bytes
-from undertow.tank.case import Orders, case_files, make_tank, write_tank
+from undertow.tank.case import TankPlan, case_files, make_tank, write_tank
 from undertow.tank.coefficients import (
     Record,
     coefficients,
@@ -45,10 +45,10 @@ from undertow.tank.settings import (
 )
 
 BOX = box_mesh((0.60, 0.42, 0.24))
-PUSHED = Orders(60.48, profiles=("push", "step"), prescribed=True)
+PUSHED = TankPlan(60.48, profiles=("push", "step"), prescribed=True)
 
 
-def _tank(orders: Orders, hull: Mesh = BOX) -> Tank:
+def _tank(orders: TankPlan, hull: Mesh = BOX) -> Tank:
     return make_tank(hull, orders, "hull.stl", "0" * 64)[0]
 
 
@@ -63,7 +63,7 @@ def _bent() -> Mesh:
 @pytest.mark.parametrize("speed", [0.3, 1.2])
 def test_water_is_as_turbulent_as_the_speed_asks_for(speed: float, prescribed: bool) -> None:
     """k = 3/2 (I U)^2 with an intensity I of one per cent, whether the hull is moved or free."""
-    orders = Orders(60.48, motions=("surge", "yaw"), profiles=("step",), prescribed=prescribed, speed=speed)
+    orders = TankPlan(60.48, motions=("surge", "yaw"), profiles=("step",), prescribed=prescribed, speed=speed)
     for case in (tank := _tank(orders)).cases:
         k = re.search(r"internalField uniform (\S+);", case_files(tank, case, 1)["0/k"])
         assert k is not None
@@ -191,19 +191,19 @@ def test_the_surface_has_no_pressure_in_pushes_and_is_a_lid_else() -> None:
 @pytest.mark.parametrize(
     ("orders", "words"),
     [
-        (Orders(60.48, depth=0.14), r"--depth 0.14 m: at least 0.15 m"),
-        (Orders(60.48, depth=0.2, speed=1.0), r"surge-step at 1 m/s makes waves .* below 0.7 m/s"),
-        (Orders(60.48, depth=0.3, motions=("heave",)), "longer heave than a push would leave the water"),
-        (Orders(60.48, depth=0.3, span="z"), "--span z would leave the water"),
+        (TankPlan(60.48, depth=0.14), r"--depth 0.14 m: at least 0.15 m"),
+        (TankPlan(60.48, depth=0.2, speed=1.0), r"surge-step at 1 m/s makes waves .* below 0.7 m/s"),
+        (TankPlan(60.48, depth=0.3, motions=("heave",)), "longer heave than a push would leave the water"),
+        (TankPlan(60.48, depth=0.3, span="z"), "--span z would leave the water"),
     ],
 )
-def test_hulls_that_leave_the_water_or_make_waves_are_refused(orders: Orders, words: str) -> None:
+def test_hulls_that_leave_the_water_or_make_waves_are_refused(orders: TankPlan, words: str) -> None:
     with pytest.raises(UndertowError, match=words):
         _tank(orders)
 
 
 def test_a_free_hull_is_forced_as_asked() -> None:
-    tank = _tank(Orders(60.48, motions=("surge", "yaw"), profiles=("step",), force=5.0, inertia=2.0))
+    tank = _tank(TankPlan(60.48, motions=("surge", "yaw"), profiles=("step",), force=5.0, inertia=2.0))
     surge, yaw = (case_files(tank, case, 1)["constant/dynamicMeshDict"] for case in tank.cases)
     assert "joint { type Px; }" in surge
     assert "mass 15.12;" in surge  # a quarter of the water, a quarter of the hull
@@ -215,7 +215,7 @@ def test_a_free_hull_is_forced_as_asked() -> None:
     assert "location (1 0 0)" in yaw
     assert "(0 2.5 0)" in yaw
     # The added mass of a light hull asks for smaller corrections of the acceleration.
-    light = _tank(Orders(7.5, profiles=("step",)))
+    light = _tank(TankPlan(7.5, profiles=("step",)))
     assert light.cases[0].relaxation == pytest.approx(7.5 / (7.5 + 20.6), rel=0.1)
 
 
@@ -261,7 +261,7 @@ def test_the_profile_of_the_paper() -> None:
 def test_a_users_profile(tmp_path: Path) -> None:
     path = tmp_path / "my.csv"
     path.write_text("t,force\n0,0\n1,2\n3,-1\n")
-    tank = _tank(Orders(60.48, profiles=(str(path),)))
+    tank = _tank(TankPlan(60.48, profiles=(str(path),)))
     assert (tank.cases[0].name, tank.cases[0].end, tank.cases[0].peak) == ("surge-my", 3.0, 2.0)
     assert tank.cases[0].signal == (0.0, 1.0, -0.5)
     path.write_text("0,0\n2,1\n1,1\n")
@@ -308,7 +308,7 @@ def solver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
 
 
-def _written(tmp_path: Path, orders: Orders = PUSHED) -> tuple[Path, Tank]:
+def _written(tmp_path: Path, orders: TankPlan = PUSHED) -> tuple[Path, Tank]:
     tank, centred = make_tank(BOX, orders, "hull.stl", "0" * 64)
     write_tank(tmp_path / "tank", tank, centred)
     return tmp_path / "tank", tank
@@ -361,7 +361,7 @@ def test_damping_of_a_turn_is_read_after_three_lengths_of_its_ends(tmp_path: Pat
 
 
 def test_a_direction_in_which_a_hull_hardly_went_is_left_out(tmp_path: Path) -> None:
-    tank, hull = make_tank(_bent(), Orders(60.48, profiles=("paper",), grids=1), "hull.stl", "0" * 64)
+    tank, hull = make_tank(_bent(), TankPlan(60.48, profiles=("paper",), grids=1), "hull.stl", "0" * 64)
     ahead = tank.model_copy(update={"cases": tank.cases[:1]})
     two = ahead.model_copy(update={"cases": (*ahead.cases, tank.cases[1].model_copy(update={"name": "b"}))})
     write_tank(tmp_path, two, hull)
@@ -505,7 +505,7 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
 @pytest.mark.parametrize("prescribed", [True, False])
 def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: bool) -> None:
     hull = spheroid_mesh(0.5, 0.5, 4)
-    orders = Orders(1000 * hull.volume, profiles=("push",), prescribed=prescribed, grids=1)
+    orders = TankPlan(1000 * hull.volume, profiles=("push",), prescribed=prescribed, grids=1)
     tank, centred = make_tank(hull, orders, "sphere.stl", "0" * 64)
     write_tank(tmp_path, tank, centred)
 
@@ -529,7 +529,7 @@ def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: b
 def test_added_mass_of_a_cylinder_without_ends(tmp_path: Path) -> None:
     across = cylinder_mesh(2.0, 0.5, 96)
     hull = Mesh(across.vertices[:, [1, 0, 2]], across.faces[:, ::-1])
-    orders = Orders(393.0, profiles=("push",), prescribed=True, grids=1, span="y")
+    orders = TankPlan(393.0, profiles=("push",), prescribed=True, grids=1, span="y")
     tank, centred = make_tank(hull, orders, "cylinder.stl", "0" * 64)
     write_tank(tmp_path, tank, centred)
     run_tank(tmp_path, tank)
@@ -542,7 +542,7 @@ def test_added_mass_of_a_cylinder_without_ends(tmp_path: Path) -> None:
 def test_added_mass_of_a_sphere_below_the_surface(tmp_path: Path) -> None:
     """31.3 kg by panels below a free surface at high frequency; 32.7 kg far from it."""
     hull = spheroid_mesh(0.5, 0.5, 4)
-    orders = Orders(1000 * hull.volume, motions=("heave",), profiles=("push",), prescribed=True, depth=0.5)
+    orders = TankPlan(1000 * hull.volume, motions=("heave",), profiles=("push",), prescribed=True, depth=0.5)
     tank, centred = make_tank(hull, replace(orders, grids=1), "sphere.stl", "0" * 64)
     down = tank.model_copy(update={"cases": tank.cases[:1]})
     write_tank(tmp_path, down, centred)
@@ -555,7 +555,7 @@ def test_added_mass_of_a_sphere_below_the_surface(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
 def test_added_mass_of_a_spheroid_across(tmp_path: Path) -> None:
     hull = spheroid_mesh(0.6, 0.2, 4)
-    orders = Orders(1000 * hull.volume, motions=("sway",), profiles=("push",), prescribed=True, grids=1)
+    orders = TankPlan(1000 * hull.volume, motions=("sway",), profiles=("push",), prescribed=True, grids=1)
     tank, centred = make_tank(hull, orders, "spheroid.stl", "0" * 64)
     write_tank(tmp_path, tank, centred)
     run_tank(tmp_path, tank)

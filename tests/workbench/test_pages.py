@@ -124,9 +124,9 @@ def test_the_log_page_shows_every_channel_and_takes_stretches(place: Workspace) 
         )
         await asyncio.sleep(0.05)
         assert not _dashed(_figure(user, "channels-plot"))
-        near = _figure(user, "channels-plot")["data"][0]["x"]
-        assert 29.9 < near[0] <= 30.0
-        assert 31.0 <= near[-1] < 31.1
+        shown_path = _figure(user, "channels-plot")["data"][0]["x"]
+        assert 29.9 < shown_path[0] <= 30.0
+        assert 31.0 <= shown_path[-1] < 31.1
 
     _played_on(place, story)
 

@@ -11,7 +11,7 @@ from tests.workbench.demo_session import DEMO, session_of
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Edit, LogMapping, as_toml, read_edits
 from undertow.identification.logs.run import Run
-from undertow.workbench.session import LogChoice, ModelStep, Remedy, Session, Stretch, Workspace
+from undertow.workbench.session import LogChoice, LogSegment, ModelStep, Remedy, Session, Workspace
 
 
 def _roles(choice: LogChoice) -> list[tuple[float, float, str]]:
@@ -21,8 +21,8 @@ def _roles(choice: LogChoice) -> list[tuple[float, float, str]]:
 def test_the_last_stretch_counts_where_two_overlap() -> None:
     choice = LogChoice(path="log.csv")
     assert _roles(choice) == [(0.0, 60.0, "train")]
-    choice.stretches.append(Stretch(start=10.0, end=30.0, role="out"))
-    choice.stretches.append(Stretch(start=25.0, end=80.0, role="judge"))
+    choice.stretches.append(LogSegment(start=10.0, end=30.0, role="out"))
+    choice.stretches.append(LogSegment(start=25.0, end=80.0, role="judge"))
     assert _roles(choice) == [(0.0, 10.0, "train"), (10.0, 25.0, "out"), (25.0, 60.0, "judge")]
 
 
@@ -33,15 +33,15 @@ def test_a_span_leaves_out_what_lies_around_it() -> None:
 
 
 def test_neighbours_that_are_used_alike_are_one_stretch() -> None:
-    choice = LogChoice(path="log.csv", stretches=[Stretch(start=10.0, end=30.0, role="out")])
-    choice.stretches.append(Stretch(start=20.0, end=30.0, role="train"))
+    choice = LogChoice(path="log.csv", stretches=[LogSegment(start=10.0, end=30.0, role="out")])
+    choice.stretches.append(LogSegment(start=20.0, end=30.0, role="train"))
     assert _roles(choice) == [(0.0, 10.0, "train"), (10.0, 20.0, "out"), (20.0, 60.0, "train")]
 
 
 def test_every_sample_is_in_one_part() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     run = Run("dive", t, {"u": np.sin(t)}, sha256="ab")
-    choice = LogChoice(path="dive.csv", stretches=[Stretch(start=10.0, end=30.0, role="judge")])
+    choice = LogChoice(path="dive.csv", stretches=[LogSegment(start=10.0, end=30.0, role="judge")])
     parts = list(choice.parts(run))
     assert [role for role, _ in parts] == ["train", "judge", "train"]
     assert np.array_equal(np.concatenate([part.t for _, part in parts]), t)
@@ -56,7 +56,7 @@ def test_a_whole_log_stays_as_it_is() -> None:
 
 def test_a_session_goes_on_where_it_was(tmp_path: Path) -> None:
     place = Workspace.open(tmp_path / "kept", session_of(tmp_path))
-    place.session.logs[0].stretches.append(Stretch(start=1.0, end=2.0, role="out"))
+    place.session.logs[0].stretches.append(LogSegment(start=1.0, end=2.0, role="out"))
     place.session.steps.append(ModelStep(what="refitted", file="model-1.toml", errors={"force": 2.0}))
     place.save()
     again = Workspace.open(tmp_path / "kept", session_of(tmp_path))

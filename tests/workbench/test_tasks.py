@@ -21,8 +21,8 @@ from undertow.identification.logs.mapping import LogMapping, mapping_text
 from undertow.model.loading import load_vehicle
 from undertow.workbench import tasks
 from undertow.workbench.bench import Bench
-from undertow.workbench.model_pages import commands, falling
-from undertow.workbench.session import ModelStep, Stretch, Workspace
+from undertow.workbench.model_pages import commands, error_steps
+from undertow.workbench.session import LogSegment, ModelStep, Workspace
 from undertow.workbench.tasks import Job
 
 Make = Callable[..., Job]
@@ -161,7 +161,7 @@ def test_a_vehicle_that_cannot_be_is_refused(job: Make) -> None:
 
 
 def test_stretches_are_written_as_logs_of_their_own(place: Workspace, job: Make) -> None:
-    place.session.logs[0].stretches.append(Stretch(start=20.0, end=30.0, role="out"))
+    place.session.logs[0].stretches.append(LogSegment(start=20.0, end=30.0, role="out"))
     assert place.in_pieces
     place.session.written = tasks.write_logs(job())["logs"]
     names = [Path(name).name for name in place.session.written]
@@ -185,7 +185,7 @@ def test_stretches_are_written_as_logs_of_their_own(place: Workspace, job: Make)
 @pytest.mark.slow
 def test_stretches_of_one_log_may_train_and_judge(place: Workspace, job: Make) -> None:
     place.session.logs = place.session.logs[:1]
-    place.session.logs[0].stretches.append(Stretch(start=40.0, end=60.0, role="judge"))
+    place.session.logs[0].stretches.append(LogSegment(start=40.0, end=60.0, role="judge"))
     train, judge = job().to_fit
     assert [r.origin for r in (*train, *judge)] == ["train_1"] * 2
     assert math.isfinite(tasks.fit(job())["step"]["errors"]["free run"])
@@ -228,8 +228,8 @@ def test_an_effect_is_made_of_what_remains(place: Workspace, job: Make) -> None:
 def test_the_waterfall_has_the_refit_between_two_models() -> None:
     steps = [ModelStep(what="as given", errors={"force": 53.0})]
     steps.append(ModelStep(what="with lift", errors={"force": 1.0, "5 s": 0.02}, refitted={"force": 13.0}))
-    assert list(falling(steps, "force")) == [("as given", 53.0), ("refitted", 13.0), ("with lift", 1.0)]
-    assert list(falling(steps, "5 s")) == [("as given", None), ("with lift", 0.02)]
+    assert list(error_steps(steps, "force")) == [("as given", 53.0), ("refitted", 13.0), ("with lift", 1.0)]
+    assert list(error_steps(steps, "5 s")) == [("as given", None), ("with lift", 0.02)]
 
 
 def test_work_is_done_in_another_process_and_can_be_cancelled(tmp_path: Path) -> None:

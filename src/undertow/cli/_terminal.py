@@ -75,7 +75,7 @@ def readable(shown: str, encoding: str) -> str:
     return shown.encode(encoding, _READABLE).decode(encoding)
 
 
-def keep_warnings_back() -> None:
+def hide_warnings() -> None:
     """Python's warnings speak of lines of code: they are shown only where -W or PYTHONWARNINGS ask for them.
 
     Processes started from this one keep them back, too.
@@ -431,7 +431,7 @@ class _ToStderr(logging.Handler):
         print(f"{prefix}{self.format(record)}", file=sys.stderr)
 
 
-def talk(verbose: bool) -> None:
+def log_to_stderr(verbose: bool) -> None:
     """Send the log of undertow to stderr: warnings, with `verbose` also what is going on."""
     logger = logging.getLogger("undertow")
     for handler in [handler for handler in logger.handlers if isinstance(handler, _ToStderr)]:
@@ -448,7 +448,7 @@ _PATIENCE = 0.05
 
 
 @contextmanager
-def insisting() -> Iterator[None]:
+def repeated_interrupts() -> Iterator[None]:
     """While the block runs, repeat KeyboardInterrupt after Ctrl-C until it has ended the block.
 
     CasADi clears whatever is raised while it looks at the arguments of a call, an interruption as well: once

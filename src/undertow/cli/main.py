@@ -18,11 +18,11 @@ import typer
 from typer.core import TyperCommand
 
 import undertow.cli as package
-from undertow.cli._terminal import keep_warnings_back, open_streams
+from undertow.cli._terminal import hide_warnings, open_streams
 from undertow.errors import UndertowError
 from undertow.version import __version__
 
-from ._terminal import insisting
+from ._terminal import repeated_interrupts
 
 _TAKING_SEVERAL = {"--holdout"}
 # Commands that stand in the file of another one, which is about the same; their help is the function's.
@@ -155,7 +155,7 @@ def run(action: Callable[[], object]) -> int:
     line ``error: ...``), 130 for Ctrl-C, 1 for a bug (with traceback).
     """
     try:
-        with insisting():
+        with repeated_interrupts():
             answer = action()
         code = _code(answer)
         sys.stdout.flush()
@@ -241,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_streams()
     if arguments is None:  # the process is ours
-        keep_warnings_back()
+        hide_warnings()
     words = _verbose_first(arguments)
     return run(lambda: _root().main(_present(words), prog_name="undertow", standalone_mode=False))
 
@@ -287,8 +287,8 @@ def _options(
     verbose: Annotated[bool, _VERBOSE_OPTION] = False,
     version: Annotated[bool, _VERSION_OPTION] = False,
 ) -> None:
-    from ._terminal import talk
+    from ._terminal import log_to_stderr
 
-    talk(verbose)
+    log_to_stderr(verbose)
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

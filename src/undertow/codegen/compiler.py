@@ -48,7 +48,7 @@ _LANE_CALL = {
 }
 _ANGLES = ("OP_SIN", "OP_COS", "OP_TAN")
 # As many angles as lanes.h turns into sines and cosines at once.
-_TOGETHER = 4
+_SHARED_ANGLES = 4
 _OPERATION = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
 
@@ -57,14 +57,14 @@ class Words:
     """How C is spelled."""
 
     real: str  # type of a number
-    spread: str  # how a double becomes one
-    form: Mapping[str, str]  # the expression of every operation, operands as {0} and {1}
+    from_double: str  # how a double becomes one
+    operations: Mapping[str, str]  # the expression of every operation, operands as {0} and {1}
     # whether sine and cosine of an angle are computed together, and those of several angles, and whether what
     # divides several values is inverted once
-    together: bool
+    share_work: bool
 
 
-PLAIN = Words("double", "{}", FORMS, together=False)
+PLAIN = Words("double", "{}", FORMS, share_work=False)
 _CALLED = {**{k: v for k, v in CALLS.items() if k not in _ANGLES}, **_LANE_CALL}
 _OF_TWO = {*TWO_OPERANDS, *_LANE_CALL} - {"OP_NOT", "OP_SIGN"}
 LANES = Words(
@@ -75,7 +75,7 @@ LANES = Words(
         **{"OP_TWICE": "2.0 * {0}", "OP_INV": "1.0 / {0}"},
         **{k: f"real_{v}({{0}}, {{1}})" if k in _OF_TWO else f"real_{v}({{0}})" for k, v in _CALLED.items()},
     },
-    together=True,
+    share_work=True,
 )
 """The words of lanes.h: the same text for any number of lanes."""
 
@@ -148,14 +148,14 @@ class _Body:
         self._zero = self._spread("0.0")
         self._sines: dict[str, tuple[str, str]] = {}
         self._inverses: dict[str, str] = {}
-        self._ahead, self._divisors = self._look_ahead() if words.together else ([], set())
+        self._ahead, self._divisors = self._shared_work() if words.share_work else ([], set())
         self.statements: list[str] = []
         self.results: list[str] = []
         for k in range(function.n_instructions()):
             self._instruction(k)
 
     def _spread(self, value: str) -> str:
-        return self._words.spread.format(value)
+        return self._words.from_double.format(value)
 
     def unused(self) -> list[str]:
         """Inputs without a use and outputs without an entry, declared to the compiler."""
@@ -185,17 +185,17 @@ class _Body:
             special[operation](k, into, operands)
             return
         values = [self._register[i] for i in operands]
-        if operation in _ANGLES and self._words.together:
+        if operation in _ANGLES and self._words.share_work:
             self._register[into[0]] = self._of_angle(operation, values[0])
             return
         if k in self._divisors:
             self._register[into[0]] = self._quotient(*values)
             return
-        if operation not in self._words.form:
+        if operation not in self._words.operations:
             raise UndertowError(
                 f"operation {operation} of a model has no counterpart in C: restate the effect"
             )
-        self._register[into[0]] = self._local(self._words.form[operation].format(*values))
+        self._register[into[0]] = self._local(self._words.operations[operation].format(*values))
 
     def _local(self, expression: str) -> str:
         name = f"a{self._count}"
@@ -204,7 +204,7 @@ class _Body:
         return name
 
     # --- what is computed together --------------------------------------------------------------
-    def _look_ahead(self) -> tuple[list[str], set[int]]:
+    def _shared_work(self) -> tuple[list[str], set[int]]:
         """Inputs that are angles: they can be turned at once. Divisions by what divides others, too."""
         f = self._function
         made: dict[int, int] = {}
@@ -230,7 +230,7 @@ class _Body:
     def _of_angle(self, operation: str, angle: str) -> str:
         if angle not in self._sines:
             together = [a for a in self._ahead if a not in self._sines] if angle in self._ahead else [angle]
-            self._turn([angle, *(a for a in together if a != angle)][:_TOGETHER])
+            self._turn([angle, *(a for a in together if a != angle)][:_SHARED_ANGLES])
         sine, cosine = self._sines[angle]
         if operation == "OP_TAN":
             return self._local(f"{sine} / {cosine}")
@@ -308,7 +308,7 @@ def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> 
     under names that carry their hashes.
     """
     place = folder or cache_folder()
-    _forget_old(place)
+    _remove_old(place)
     expected = {"source": digest(source), "compiler": compiler.identity}
     manifest = place / f"{digest(json.dumps(expected))[:24]}.json"
     known = _trusted(manifest, expected)
@@ -352,7 +352,7 @@ def _build(source: str, compiler: Compiler, manifest: Path, expected: dict[str, 
 
 
 @cache
-def _forget_old(folder: Path) -> None:
+def _remove_old(folder: Path) -> None:
     """Remove what has not been used for months, and what killed builds have left; once in a process."""
     now = time.time()
     with suppress(OSError):
@@ -587,10 +587,10 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def compiled_or_virtual(
-    wish: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], U]
+    requested: bool | None, build: Callable[[Compiler], T], otherwise: Callable[[], U]
 ) -> T | U:
     """Compiled code if wished for (True) or possible (None); else what runs without, and a logged line."""
-    if wish is False:
+    if requested is False:
         return otherwise()
     try:
         compiler = find_compiler()
@@ -598,14 +598,14 @@ def compiled_or_virtual(
             raise UndertowError("no C compiler found: install one, or name one in UNDERTOW_CC")
         return build(compiler)
     except UndertowError as error:
-        if wish:
+        if requested:
             raise
-        _say_who_runs(str(error))
+        _log_backend(str(error))
     return otherwise()
 
 
 @cache
-def _say_who_runs(reason: str) -> None:
+def _log_backend(reason: str) -> None:
     """Say it once for each reason."""
     who = "The CasADi virtual machine runs"
     if engine_file().is_file():

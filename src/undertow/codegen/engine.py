@@ -437,7 +437,7 @@ def model_source(functions: Functions) -> str:
 
 
 # Windows that are simulated in one share of a thread at least.
-_ABREAST = 8
+_SIDE_BY_SIDE = 8
 
 
 @dataclass(frozen=True)
@@ -506,7 +506,7 @@ class Tangents:
 
     def advance(self, problem: Problem, first: int, last: int) -> None:
         """Record states and sensitivities from sample `first` to sample `last`."""
-        self._called(problem, (first, last), problem.x, problem.s)
+        self._call_library(problem, (first, last), problem.x, problem.s)
 
     def products(self, problem: Problem, measured: Array, weight: Array, group: Integers) -> Products:
         """Sums over the samples of every window; `group` says of which sum of its window a sample is part.
@@ -523,18 +523,20 @@ class Tangents:
         def work(rows: slice) -> None:
             part = problem.part(rows)
             span = 0, part.t.shape[1] - 1
-            diverged.append(self._called(part, span, start[rows], None, groups, *(a[rows] for a in arrays)))
+            diverged.append(
+                self._call_library(part, span, start[rows], None, groups, *(a[rows] for a in arrays))
+            )
 
         # Every derivative is carried along like a state.
         steps = float(problem.steps.sum(axis=1).max(initial=1)) * problem.wrt.size
-        in_threads(work, shares(b, steps, None, _ABREAST), None)
+        in_threads(work, shares(b, steps, None, _SIDE_BY_SIDE), None)
         if any(diverged) or not np.isfinite(found.table).all():
             return Products(found.table, found.squares, diverged=True)
         lower = np.tril_indices(width, -1)
         found.table[:, :, lower[0], lower[1]] = found.table[:, :, lower[1], lower[0]]
         return found
 
-    def _called(
+    def _call_library(
         self,
         problem: Problem,
         span: tuple[int, int],
@@ -572,7 +574,7 @@ class _Model(ctypes.Structure):
     )
 
 
-class Uncompiled:
+class InterpretedModel:
     """The instructions of a model, run at once by the engine: compiling takes longer than a run or two."""
 
     def __init__(self, functions: Functions, run: Engine, *, sensitivities: bool) -> None:

@@ -41,7 +41,7 @@ class Layout:
     row: tuple[int, ...]
     column: tuple[int, ...]
     size: int  # number of parameters that are sought
-    needed: tuple[int, ...]  # which of x, nu_dot, u and t, in this order, the rows depend on
+    used_inputs: tuple[int, ...]  # which of x, nu_dot, u and t, in this order, the rows depend on
 
     @property
     def degrees(self) -> int:
@@ -74,9 +74,9 @@ def layout(functions: Functions, places: Sequence[int]) -> Layout:
     function = ca.Function("rows", inputs, [entries], ["x", "nu_dot", "u", "p", "t"], ["rows"])
     varying = ca.vertcat(f.x, f.nu_dot, f.u, f.t)
     felt = ca.which_depends(entries, varying)
-    needed = tuple(k for k, used in enumerate(felt) if used)
+    used_inputs = tuple(k for k, used in enumerate(felt) if used)
     return Layout(
-        function, tuple(rows[k] for k in order), tuple(columns[k] for k in order), len(chosen), needed
+        function, tuple(rows[k] for k in order), tuple(columns[k] for k in order), len(chosen), used_inputs
     )
 
 
@@ -86,16 +86,16 @@ class Sums:
 
     # value, lost: sum and correction
     value: Array
-    lost: Array = field(init=False)
+    compensation: Array = field(init=False)
     count: int = 0  # samples that were taken in; those with gaps are not
 
     def __post_init__(self) -> None:
-        self.lost = np.zeros_like(self.value)
+        self.compensation = np.zeros_like(self.value)
 
     @property
     def total(self) -> Array:
         """The sums."""
-        return np.asarray(self.value + self.lost)
+        return np.asarray(self.value + self.compensation)
 
 
 class CompiledRows:
@@ -111,7 +111,7 @@ class CompiledRows:
 
     def gram(self, columns: list[Array], p: Array, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""
-        sums.count += self._called("gram", columns, p, sums.value, sums.lost)
+        sums.count += self._called("gram", columns, p, sums.value, sums.compensation)
 
     def build(self, columns: list[Array], p: Array) -> tuple[Array, int]:
         """Rows and target as a matrix; zero where a sample has gaps."""
@@ -136,10 +136,10 @@ def gram_source(rows: Layout) -> tuple[str, str]:
     """C source of the passes, and the prefix of their names, which carries the hash of the source."""
     f, starts = rows.function, rows.starts
     sizes = {"NX": f.numel_in(0), "ND": f.numel_in(1), "NU": f.numel_in(2), "NF": rows.size}
-    sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.needed), "TABLE": _tiles(starts)}
+    sizes |= {"ENTRIES": len(rows.row), "NEEDS": len(rows.used_inputs), "TABLE": _tiles(starts)}
     lines = [_LANES, LANES_HEADER, "#include <string.h>", "#define ROWS entries_of_rows"]
     lines += [f"#define {k} {v}" for k, v in sizes.items()]
-    for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.needed)):
+    for name, values in (("START", starts), ("COLUMN", rows.column), ("NEEDED", rows.used_inputs)):
         lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
     lines.append(c_file("gram.c"))
@@ -183,7 +183,7 @@ class VirtualRows:
         known, count, f = self._layout, columns.shape[1], self._layout.function
         sizes = [f.numel_in(i) for i in (0, 1, 2)] + [1]
         inputs = np.zeros((count, sum(sizes)))
-        inputs[:, list(known.needed)] = columns.T
+        inputs[:, list(known.used_inputs)] = columns.T
         whole = np.asarray(np.isfinite(inputs).all(axis=1))
         x, nu_dot, u, t = np.split(np.where(whole[:, None], inputs, 0.0), np.cumsum(sizes)[:-1], axis=1)
         (entries,) = at_samples(f, [x, nu_dot, u, p, t], count)

@@ -19,11 +19,11 @@ from undertow.typing import Array, Integers
 from .compiler import Compiler, compiled_or_virtual
 from .engine import (
     CompiledRollout,
+    InterpretedModel,
     Problem,
     Products,
     Stepper,
     Tangents,
-    Uncompiled,
     carried,
     compiled_tangents,
     engine,
@@ -82,12 +82,12 @@ class Simulator:
         return self._steppers[wrt]
 
     @cached_property
-    def _with_slopes(self) -> Uncompiled | None:
+    def _with_slopes(self) -> InterpretedModel | None:
         return self._uncompiled(sensitivities=True)
 
-    def _uncompiled(self, *, sensitivities: bool) -> Uncompiled | None:
+    def _uncompiled(self, *, sensitivities: bool) -> InterpretedModel | None:
         run = engine()
-        return None if run is None else Uncompiled(self._functions, run, sensitivities=sensitivities)
+        return None if run is None else InterpretedModel(self._functions, run, sensitivities=sensitivities)
 
     # --- runs ---------------------------------------------------------------------------------
     def run(
@@ -115,14 +115,7 @@ class Simulator:
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
-        self,
-        x0: Array,
-        t: Array,
-        u: Array,
-        p: Array,
-        wrt: Sequence[int],
-        *,
-        initial: Sequence[int] = (),
+        self, x0: Array, t: Array, u: Array, p: Array, wrt: Sequence[int], *, initial: Sequence[int] = ()
     ) -> tuple[Array, Array]:
         """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
 
@@ -171,7 +164,7 @@ class Simulator:
         lanes = getattr(stepper, "lanes", 0)
 
         def simulate(part: Problem) -> None:
-            for first, last in pairwise([0, *_pauses(part), part.t.shape[1] - 1]):
+            for first, last in pairwise([0, *_interruptions(part), part.t.shape[1] - 1]):
                 stepper.advance(part, first, last)
 
         if not lanes:
@@ -182,7 +175,7 @@ class Simulator:
         in_threads(simulate, parts, threads)
 
     @cached_property
-    def _quickened_by(self) -> list[bool]:
+    def _rate_dependencies(self) -> list[bool]:
         """Which of state, input, parameters and time make one run quicker than another."""
         return [self._functions.quickest.jac_sparsity(0, k).nnz() > 0 for k in range(4)]
 
@@ -194,12 +187,12 @@ class Simulator:
         x = np.empty((len(start), times.shape[1], start.shape[1]))
         x[:, :1] = start[:, None]
         none = np.empty(0, dtype=np.int64)
-        longest = self._resolving(start, times, inputs, parameters, max_step)
+        longest = self._resolving_step(start, times, inputs, parameters, max_step)
         return Problem(times, _steps(times, longest), inputs, parameters, x, none, np.empty((*x.shape, 0)))
 
-    def _resolving(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> Array:
+    def _resolving_step(self, start: Array, t: Array, u: Array, p: Array, max_step: float) -> Array:
         """The longest step, in each run or in all, that follows friction and the states that effects own."""
-        given = zip((start, u[:, 0], p, t[:, :1]), self._quickened_by, strict=True)
+        given = zip((start, u[:, 0], p, t[:, :1]), self._rate_dependencies, strict=True)
         at_first = [a if felt and a.strides[0] else a[:1] for a, felt in given]
         batch = max(map(len, at_first))
         state, inputs, parameters, now = (a if len(a) == batch else a[0] for a in at_first)
@@ -223,19 +216,19 @@ def _longest(slopes: Array, max_step: float) -> Array:
     rates = np.full(len(known), _REACH / max_step)
     # No eigenvalue exceeds the norm: most runs need none worked out.
     stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
-    rates[stiff] = np.maximum(rates[stiff], _quickest_decay(known[stiff]))
+    rates[stiff] = np.maximum(rates[stiff], _fastest_decay(known[stiff]))
     longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
     slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
     return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))
 
 
-def _quickest_decay(slopes: Array) -> Array:
+def _fastest_decay(slopes: Array) -> Array:
     """Largest rate in each of the matrices, 1/s, but of what only grows: no step keeps that in bounds."""
     poles = np.linalg.eigvals(slopes)
     return np.asarray(np.where(poles.real > np.abs(poles.imag), 0.0, np.abs(poles)).max(axis=1, initial=0.0))
 
 
-def _pauses(problem: Problem) -> list[int]:
+def _interruptions(problem: Problem) -> list[int]:
     """Samples at which a long simulation comes back to Python."""
     work = np.cumsum(problem.steps.max(axis=0, initial=1)) * len(problem.x)
     limits = np.arange(_STEPS_PER_CALL, work[-1] if work.size else 0, _STEPS_PER_CALL)

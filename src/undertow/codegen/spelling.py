@@ -41,7 +41,7 @@ def identifier(folder: str) -> str:
     return name if name[0].isalpha() else f"v_{name}"
 
 
-def filled(template: str, fields: Mapping[str, object]) -> str:
+def fill(template: str, fields: Mapping[str, object]) -> str:
     """A template with its @FIELDS@ filled in."""
     return re.sub(r"@([A-Z_]+)@", lambda match: str(fields[match[1]]), template)
 
@@ -71,8 +71,8 @@ class Struct:
 
     type: str
     members: tuple[str, ...]
-    declared: str
-    defined: str
+    declarations: str
+    definitions: str
 
 
 class Dialect:
@@ -102,14 +102,14 @@ class Dialect:
         )
         return Struct(name, members, declared, f"const {name} {name}_default = {{\n  {values}}};\n")
 
-    def head(self, function: ca.Function, name: str, structs: Mapping[str, Struct]) -> str:
+    def prototype(self, function: ca.Function, name: str, structs: Mapping[str, Struct]) -> str:
         """The prototype of a function in C."""
         return (
             signature(function, name, words=self._words, structs=_typed(structs), by_value=_scalars(function))
             + ";"
         )
 
-    def body(
+    def definition(
         self, function: ca.Function, name: str, structs: Mapping[str, Struct], *, static: bool = False
     ) -> str:
         """The function itself; inputs of which a struct is given are pointers to one."""
@@ -142,7 +142,7 @@ def _words(real: str, call: str) -> Words:
         "OP_SIGN": f"({{0}} > {zero}) ? {one} : (({{0}} < {zero}) ? ({real})-1 : {{0}})",
         "OP_IF_ELSE_ZERO": f"({{0}} != {zero}) ? {{1}} : {zero}",
     }
-    return Words(real, f"({real}){{}}", forms, together=False)
+    return Words(real, f"({real}){{}}", forms, share_work=False)
 
 
 def _members(names: Iterable[str]) -> tuple[str, ...]:
@@ -162,11 +162,11 @@ def _members(names: Iterable[str]) -> tuple[str, ...]:
 class Part:
     """One module of the library: a header, a source and an example."""
 
-    what: str  # what it is, for the first line of the header
+    title: str  # what it is, for the first line of the header
     notes: Mapping[str, Sequence[Entry]]  # entries that the header lists, by what they are
     # declared, defined: lines of header and source
-    declared: Sequence[str]
-    defined: Sequence[str]
+    declarations: Sequence[str]
+    definitions: Sequence[str]
     example: str  # body of the main function that shows how it is used
     # whether its source says what the manifest's rows and parameters say; otherwise text is compared
     about_model: bool = False

@@ -16,7 +16,7 @@ from undertow.typing import Array
 
 from .functions import Functions
 from .manifest import Entry, Manifest
-from .spelling import Dialect, Part, Struct, comment, filled
+from .spelling import Dialect, Part, Struct, comment, fill
 
 # Step and length of the example's run, s, and rows between two that it prints.
 _STEP, _ROWS, _EVERY = 0.02, 500, 25
@@ -36,18 +36,18 @@ def vehicle_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
     sizes["DOF"] = len(functions.vehicle.degrees_of_freedom)
     counts = ", ".join(f"{upper}_{what} = {size}" for what, size in sizes.items())
     template = (files("undertow.codegen") / "templates" / "vehicle.c").read_text(encoding="utf-8")
-    step = filled(template, {"LOWER": n, "UPPER": upper})
+    step = fill(template, {"LOWER": n, "UPPER": upper})
     declared = [
         f"enum {{ {counts} }};\n",
-        p.declared,
+        p.declarations,
         "/* Time derivative of the state at time t: x_dot (STATES). */",
-        c.head(functions.dynamics, f"{n}_dynamics", {"p": p}),
+        c.prototype(functions.dynamics, f"{n}_dynamics", {"p": p}),
         "\n/* Pose and body velocity as the sensors report them: y (2 DOF). */",
-        c.head(functions.outputs, f"{n}_outputs", {"p": p}),
+        c.prototype(functions.outputs, f"{n}_outputs", {"p": p}),
         "\n/* One fourth-order Runge-Kutta step of h seconds from t, u held. */",
         step[step.index("void") : step.index(" {\n")] + ";\n",
     ]
-    defined = [p.defined, *(c.body(f, name, {"p": p}) for name, f in made.items()), step]
+    defined = [p.definitions, *(c.definition(f, name, {"p": p}) for name, f in made.items()), step]
     notes = {"x, state": manifest.states, "u, input, held by the caller": manifest.inputs}
     return Part("model", notes, declared, defined, _example(c, manifest), about_model=True)
 
@@ -68,13 +68,13 @@ def jacobians_c(c: Dialect, functions: Functions, manifest: Manifest) -> Part:
         "\n/* Sum of forces and moments, N and N m, at an acceleration nu_dot: zero at the true one. */",
         "\n/* Derivative of the residual in the parameters: Y (DOF x PARAMETERS). */",
     )
-    heads = [c.head(f, name, {"p": p}) for name, f in made.items()]
+    heads = [c.prototype(f, name, {"p": p}) for name, f in made.items()]
     declared = [
         f'#include "{n}_vehicle.h"\n',
         *(x for both in zip(words, heads, strict=True) for x in both),
         "",
     ]
-    defined = [c.body(f, name, {"p": p}) for name, f in made.items()]
+    defined = [c.definition(f, name, {"p": p}) for name, f in made.items()]
     dofs = functions.vehicle.dof_indices
     notes = {"r, rows": [Entry(f"tau_{FORCE[i]}", FORCE_UNITS[i]) for i in dofs]}
     what, example = "Jacobians, residual and regressor", _example_of_jacobians(c, functions)
@@ -154,7 +154,7 @@ def thrusters_c(c: Dialect, vehicle: Vehicle) -> Part:
     size = max(len(x) for x, _ in tables)
     full = max((t.limit for t in vehicle.thrusters if t.limit is not None), default=1.0)
     template = (files("undertow.codegen") / "templates" / "thrusters.c").read_text(encoding="utf-8")
-    tail = filled(template, {"LOWER": n, "UPPER": n.upper()})
+    tail = fill(template, {"LOWER": n, "UPPER": n.upper()})
     numbers = {
         "neutral": (SETTINGS.neutral, "microseconds without thrust"),
         "span": (SETTINGS.span, "microseconds from there to full thrust"),

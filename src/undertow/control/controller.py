@@ -94,7 +94,7 @@ def _symbol_unless(value: float, name: str, constant: float) -> ca.SX:
     return ca.SX(constant) if value == constant else ca.SX.sym(name)
 
 
-def thruster_commands(allocation_symbols: SymbolicAllocation, force: ca.SX) -> ca.SX:
+def thruster_commands(symbolic: SymbolicAllocation, force: ca.SX) -> ca.SX:
     """Commands for a wanted force in all degrees of freedom, shape (n, 1) to (m, 1).
 
     Without limits f = W^-1 B' (B W^-1 B')^-1 tau, the solution with the least f' W f. With limits the same
@@ -103,12 +103,12 @@ def thruster_commands(allocation_symbols: SymbolicAllocation, force: ca.SX) -> c
     their limits, no iteration increases the remaining tau, and within the limits the result is that of the
     pseudo-inverse.
     """
-    allocation = allocation_symbols.allocation
+    allocation = symbolic.allocation
     wanted = force[list(allocation.rows)]
-    step = allocation_symbols.unlimited(wanted)
+    step = symbolic.unlimited(wanted)
     if not allocation.limited:
         return step
-    b, m, limits = allocation_symbols.allocated, len(allocation.limits), allocation_symbols.limits
+    b, m, limits = symbolic.allocated, len(allocation.limits), symbolic.limits
     commands, free = ca.SX.zeros(m, 1), ca.SX.ones(m, 1)
     limited: ca.SX = ca.SX(1)
     for _ in range(int(np.isfinite(allocation.limits).sum()) + 1):
@@ -117,7 +117,7 @@ def thruster_commands(allocation_symbols: SymbolicAllocation, force: ca.SX) -> c
         commands = ca.fmax(-limits, ca.fmin(limits, commands + share * step))
         limited = limited * (share < 1)
         free = free * (ca.vertcat(*ratios) > share)
-        step = limited * _step(allocation_symbols, b, free, wanted - b @ commands)
+        step = limited * _step(symbolic, b, free, wanted - b @ commands)
     return commands
 
 
@@ -128,11 +128,11 @@ def _step_fraction(command: ca.SX, step: ca.SX, limit: ca.SX) -> ca.SX:
     return ca.if_else(step == 0, inf, (limit - ca.sign(step) * command) / ca.fabs(step))
 
 
-def _step(allocation_symbols: SymbolicAllocation, b: ca.SX, free: ca.SX, remaining: ca.SX) -> ca.SX:
+def _step(symbolic: SymbolicAllocation, b: ca.SX, free: ca.SX, remaining: ca.SX) -> ca.SX:
     """Change of the free commands that brings the rest of the force, or as much of it as they can."""
-    k, inverse_weights = len(allocation_symbols.allocation.rows), free / allocation_symbols.weights
+    k, inverse_weights = len(symbolic.allocation.rows), free / symbolic.weights
     gram = b @ ca.diag(inverse_weights) @ b.T
-    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / allocation_symbols.weights) @ b.T) / k
+    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / symbolic.weights) @ b.T) / k
     return inverse_weights * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), remaining))
 
 
@@ -268,9 +268,8 @@ class Controller:
     def continuous(self) -> ca.Function:
         """`(u, s_dot, tau) = law(y, r, s, k)`: commands and rates in continuous time, the gate as in s."""
         commands, rates, force = self._law_outputs(self._gate_state)
-        at = ca.SX.ones(
-            self._reference_states.shape
-        )  # the time goes on; a reference that has more is sampled
+        # The time goes on; a reference that has more is sampled.
+        at = ca.SX.ones(self._reference_states.shape)
         return self._function("law", [], [commands, ca.vertcat(rates, at, 0), force], ["u", "s_dot", "tau"])
 
     def parametrised(self) -> ParametrisedController:
@@ -279,20 +278,18 @@ class Controller:
         plant = [(s, ca.SX.sym(str(s)), float(v)) for s, v in self.gains.plant.numbers.items()]
         other._numbers = {s: e for s, e, _ in plant}
         rows = [f"tau_{FORCE[vehicle.dof_indices[i]]}" for i in self.allocation.rows]
-        other._symbolic = allocation_symbols = SymbolicAllocation.with_names(
-            self.allocation, self.command_names, rows
-        )
+        other._symbolic = symbolic = SymbolicAllocation.with_names(self.allocation, self.command_names, rows)
         other._gate_angle = ca.SX.sym(GATE)
         gains = [ca.SX.sym(name) for name in self.gain_names]
         known = [
             *zip(gains, self.gain_values(), strict=True),
             *((e, v) for _, e, v in plant),
-            *allocation_symbols.numbers(),
+            *symbolic.numbers(),
             (other._gate_angle, self.gate),
         ]
         tau = ca.SX.sym("tau", len(self._coordinates))
         asked = ca.substitute(other._sample(), [self._k], [ca.vertcat(*gains)])
-        results = [ca.densify(o) for o in (*ca.cse(asked), thruster_commands(allocation_symbols, tau))]
+        results = [ca.densify(o) for o in (*ca.cse(asked), thruster_commands(symbolic, tau))]
         used = {e.element_hash() for e in ca.symvar(ca.vertcat(*map(ca.vec, results)))}
         used_entries = [(e, v) for e, v in known if e.element_hash() in used]
         p = ca.vertcat(*[e for e, _ in used_entries])

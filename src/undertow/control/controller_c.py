@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from undertow.codegen.manifest import UNITS, Entry
-from undertow.codegen.spelling import Dialect, Part, Struct, comment, filled, identifier, slug
+from undertow.codegen.spelling import Dialect, Part, Struct, comment, fill, identifier, slug
 from undertow.model.symbols import FORCE, FORCE_UNITS
 
 from .controller import Controller
@@ -76,7 +76,7 @@ class _ControllerC:
     def _heading(self) -> str:
         rule = _RULES[self._controller.gains.schedule.heading]
         words = {"REAL": self._c.real, "LOWER": self._name, "CALL": self._c.call}
-        return filled(f"{_HEADING} {{\n{rule}\n}}\n", words)
+        return fill(f"{_HEADING} {{\n{rule}\n}}\n", words)
 
     def _declarations(self) -> list[str]:
         name, c, f = self._name, self._c, self._parametrised
@@ -85,13 +85,13 @@ class _ControllerC:
         sizes = ", ".join(f"{name.upper()}_{what} = {size}" for what, size in counts.items())
         lines = [
             f"enum {{ {sizes} }};\n",
-            *(struct.declared for struct in self._structs.values()),
+            *(struct.declarations for struct in self._structs.values()),
             "/* States at the start: integrals at zero, the gate of the schedule closed if there is one. */",
             f"void {name}_start({c.real} *s);\n",
             "/* One sample: commands u, states after dt seconds (s_next may be s) and force tau. */",
-            c.head(f.control, f"{name}_step", self._structs),
+            c.prototype(f.control, f"{name}_step", self._structs),
             "\n/* Commands of a wanted force alone. */",
-            c.head(f.allocate, f"{name}_allocate", self._struct("p")),
+            c.prototype(f.allocate, f"{name}_allocate", self._struct("p")),
             "",
         ]
         if self._has_heading_rule:
@@ -108,10 +108,10 @@ class _ControllerC:
         start = enumerate(self._controller.initial_states())
         states = "\n".join(f"  s[{i}] = {c.constant(value)};" for i, value in start)
         lines = [
-            *(struct.defined for struct in self._structs.values()),
+            *(struct.definitions for struct in self._structs.values()),
             f"void {name}_start({c.real} *s) {{\n{states}\n}}\n",
-            c.body(f.control, f"{name}_step", self._structs),
-            c.body(f.allocate, f"{name}_allocate", self._struct("p")),
+            c.definition(f.control, f"{name}_step", self._structs),
+            c.definition(f.allocate, f"{name}_allocate", self._struct("p")),
         ]
         return [*lines, self._heading] if self._has_heading_rule else lines
 

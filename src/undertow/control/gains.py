@@ -275,9 +275,9 @@ def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
                 f"{', '.join(known) or 'none'}"
             )
     low, high = LIMITS.weights
-    unexpected = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
-    if unexpected:
-        name, weight = unexpected[0]
+    beyond = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
+    if beyond:
+        name, weight = beyond[0]
         raise UndertowError(
             f"weight of thruster '{name}' is {weight:g}: give one above zero, from {low:g} to {high:g}"
         )
@@ -311,11 +311,11 @@ class Allocation:
         return np.where(np.abs(inverse) < 1e-14 * np.abs(inverse).max(), 0.0, inverse)
 
     @property
-    def force_to_commands(self) -> np.ndarray:
+    def B_inverse(self) -> np.ndarray:
         """The same for the forces in all degrees of freedom, shape (m, n)."""
-        force_to_commands = np.zeros(self.matrix.T.shape)
-        force_to_commands[:, list(self.rows)] = self.pseudo_inverse
-        return force_to_commands
+        B_inverse = np.zeros(self.matrix.T.shape)
+        B_inverse[:, list(self.rows)] = self.pseudo_inverse
+        return B_inverse
 
     @property
     def achieved(self) -> np.ndarray:
@@ -323,7 +323,7 @@ class Allocation:
 
         The identity in the rows that are allocated; what is left out may be pushed along with them.
         """
-        return self.matrix @ self.force_to_commands
+        return self.matrix @ self.B_inverse
 
 
 def allocation_of(gains: GainSet) -> Allocation:

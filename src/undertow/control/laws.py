@@ -161,8 +161,8 @@ class _Sliding(Law):
         plant = s.plant
         surface_rate = self.reaching_rate(s) - plant.J_dot * plant.nu - s.Lambda * plant.J * plant.nu
         surface_rate += (plant.J_dot + s.Lambda * plant.J) * s.nu_r
-        surface_rate = plant.J_inverse * surface_rate + s.nu_r_dot
-        return plant.M * surface_rate + (plant.C + plant.D) * plant.nu + plant.g
+        acceleration = plant.J_inverse * surface_rate + s.nu_r_dot
+        return plant.M * acceleration + (plant.C + plant.D) * plant.nu + plant.g
 
 
 def _errors_at_rest(sizes: Sequence[sm.Expr], s: LawSignals) -> sm.Matrix:

@@ -251,14 +251,14 @@ def _inverse(block: sm.ImmutableMatrix) -> sm.Matrix:
 
 def _as_commanded(vehicle: Vehicle, speed: float, left_out: dict[str, str]) -> Vehicle:
     """The vehicle without logged inputs and, without a speed, without control surfaces."""
-    left_surfaces = () if speed else vehicle.surfaces
-    if not left_surfaces and not vehicle.inputs:
+    unused = () if speed else vehicle.surfaces
+    if not unused and not vehicle.inputs:
         return vehicle
     reason = "it stays at zero: laws command surfaces only at a forward speed ([allocation] speed)"
-    left_out |= {s.name: reason for s in left_surfaces}
+    left_out |= {s.name: reason for s in unused}
     left_out |= {name: "an input from the log: laws take it as zero" for name in vehicle.inputs}
-    kept = tuple(e for e in vehicle.effects if not left_surfaces or ControlSurfaces.id not in e.requires)
-    commanded = replace(vehicle, effects=kept, surfaces=() if left_surfaces else vehicle.surfaces, inputs={})
+    kept = tuple(e for e in vehicle.effects if not unused or ControlSurfaces.id not in e.requires)
+    commanded = replace(vehicle, effects=kept, surfaces=() if unused else vehicle.surfaces, inputs={})
     return commanded.with_values(
         {n: Value(0.0) for n in vehicle.inputs if n in commanded.declared_parameters}
     )

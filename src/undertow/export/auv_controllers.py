@@ -34,7 +34,7 @@ class AuvControllers(Body):
         self._inertial(hydrodynamics)
         self._damping(hydrodynamics)
         self._hydrostatics(hydrodynamics)
-        self.losses += self._what_is_left()
+        self.losses += self._left_out_lines()
 
     def _inertial(self, parent: ET.Element) -> None:
         """Mass, inertia about the origin and added mass, of which the parser takes the diagonals."""
@@ -64,7 +64,7 @@ class AuvControllers(Body):
         attributes(hydrostatics, "buoyancy", ("value",), [lift])
         attributes(hydrostatics, "center_of_buoyancy", "xyz", centre)
 
-    def _what_is_left(self) -> Iterator[str]:
+    def _left_out_lines(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         present = {e.id for e in self.vehicle.all_effects}
         if "rigid_body" in present and "rigid_body_coriolis" not in present:

@@ -135,12 +135,12 @@ class Body:
             return lift, weight * r / lift
         return lift, (weight * r - np.array([v.get(f"S_{a}", 0.0) for a in "xyz"])) / lift
 
-    def edge(self, lift: float) -> float:
+    def cube_edge(self, lift: float) -> float:
         """Edge of the cube that displaces as much water as buoyancy needs, m; it stands for the hull."""
         self.losses.append("the collision shape is a cube with the displaced volume, not the hull")
         return float((lift / (self.vehicle.environment["rho"] * self.gravity)) ** (1 / 3))
 
-    def most_thrust(self, thruster: Thruster) -> float:
+    def max_thrust(self, thruster: Thruster) -> float:
         """Largest thrust of a thruster either way, N; infinite without a limit, or where a curve has it.
 
         A positive command may push backwards: then thrust per command is negative, and its limit is not.
@@ -214,7 +214,7 @@ def angles_of(direction: Array) -> tuple[float, float, float]:
 
 
 # --- XML ------------------------------------------------------------------------------------------
-def leaves(parent: ET.Element, values: Mapping[str, object]) -> None:
+def append_elements(parent: ET.Element, values: Mapping[str, object]) -> None:
     """Append elements with a text or number each."""
     for name, value in values.items():
         shown = value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from undertow.codegen.compiler import plain_c
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import Entry, describe
 from undertow.codegen.simulate import longest_step
-from undertow.codegen.spelling import comment, filled, identifier, slug
+from undertow.codegen.spelling import comment, fill, identifier, slug
 from undertow.model.effect import Measurement
 from undertow.model.symbols import FORCE, FORCE_UNITS
 from undertow.model.units import base_exponents
@@ -86,7 +86,10 @@ class Fmu:
         limits = {n: (lowest[n], most) for n, most in self.vehicle.command_limits.items()}
         seen = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         inputs = [
-            replace(e, name=_apart(e.name, (*seen, *(p.name for p in self._manifest.parameters)), "command_"))
+            replace(
+                e,
+                name=_unique_name(e.name, (*seen, *(p.name for p in self._manifest.parameters)), "command_"),
+            )
             for e in self._manifest.inputs
         ]
         step = longest_step(self._functions, self.settings.max_step)
@@ -137,12 +140,12 @@ class Fmu:
         folder = files("undertow.export") / "templates"
         wrapper = f"fmi{self.version[0]}.c"
         own = (folder / wrapper).read_text(encoding="utf-8")
-        core = filled((folder / "fmu.h").read_text(encoding="utf-8"), self._fields)
+        core = fill((folder / "fmu.h").read_text(encoding="utf-8"), self._fields)
         texts = {"modelDescription.xml": self._description(wrapper)}
         if self.version == "3.0":
             texts["sources/buildDescription.xml"] = _build(self.name, wrapper)
         page = "documentation/index.html"
-        return {**texts, f"sources/{wrapper}": own, "sources/fmu.h": core, page: self._page()}
+        return {**texts, f"sources/{wrapper}": own, "sources/fmu.h": core, page: self._readme()}
 
     @cached_property
     def token(self) -> str:
@@ -262,7 +265,7 @@ class Fmu:
             found[1 + nx + k if k < nx else first_force + k - nx].append(places[j])
         return {reference: sorted(needs) for reference, needs in found.items()}
 
-    def _page(self) -> str:
+    def _readme(self) -> str:
         """What a user of the unit has to know."""
         lines = [
             "SI units, angles in rad, frames NED and forward-starboard-down, derivatives in SNAME signs.",
@@ -290,7 +293,7 @@ def _parameter(entry: Entry) -> Variable:
     return Variable(entry.name, entry.unit, "parameter", "fixed", "exact", entry.value)
 
 
-def _apart(name: str, taken: Iterable[str], prefix: str) -> str:
+def _unique_name(name: str, taken: Iterable[str], prefix: str) -> str:
     """A name that no other variable has."""
     return prefix + name if name in taken else name
 

@@ -52,7 +52,7 @@ class Mjcf(Body):
         super().__init__(vehicle, "MuJoCo")
         self.settings = settings or MjcfSettings()
         self._root = self._model()
-        self.losses += self._what_is_left()
+        self.losses += self._left_out_lines()
 
     def _model(self) -> ET.Element:
         root = ET.Element("mujoco", {"model": self.name})
@@ -104,7 +104,7 @@ class Mjcf(Body):
         about_origin = self.inertia + m * steiner(r) - own - small * steiner(at)
         element = ET.SubElement(body, "body", {"name": "float", "gravcomp": repr(lift / (small * g))})
         element.append(_inertial(small, at, own))
-        half = numbers(*[self.edge(lift) / 2] * 3)
+        half = numbers(*[self.cube_edge(lift) / 2] * 3)
         shape = {"type": "box", "size": half, "pos": numbers(*FLIP[:3] * at), "mass": "0"}
         ET.SubElement(element, "geom", shape)
         return rest, centre, about_origin - rest * steiner(centre)
@@ -120,11 +120,11 @@ class Mjcf(Body):
         )
         if thruster.law is not None:
             self.losses.append(f"thruster {thruster.name}: ctrl is thrust in newtons, its curve is left out")
-        if isfinite(most := self.most_thrust(thruster)):
+        if isfinite(most := self.max_thrust(thruster)):
             motor.set("ctrlrange", numbers(-most, most))
 
     # --- what is lost --------------------------------------------------------------------------
-    def _what_is_left(self) -> Iterator[str]:
+    def _left_out_lines(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         hint = ", which MuJoCo has for ellipsoids only"
         yield from self.left_out(_EXPORTED, lambda effect: hint if effect.id == "added_mass" else "")

@@ -16,7 +16,7 @@ from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .body import FLIP, Body, Drag, angles_of, fit, leaves, numbers
+from .body import FLIP, Body, Drag, angles_of, append_elements, fit, numbers
 
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}
@@ -44,7 +44,7 @@ class Sdf(Body):
         super().__init__(vehicle, "Gazebo")
         self.settings = settings or SdfSettings()
         self._root = self._world()
-        self.losses += self._what_is_left()
+        self.losses += self._left_out_lines()
 
     @cached_property
     def drag(self) -> dict[str, float]:
@@ -71,8 +71,8 @@ class Sdf(Body):
         root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: ENU, forward-left-up "))
         world = ET.SubElement(root, "world", {"name": "water"})
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
-        leaves(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
-        leaves(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
+        append_elements(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
+        append_elements(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
         for file, system in _SYSTEMS.items():
             _plugin(world, file, system, {})
         density = {"uniform_fluid_density": self.vehicle.environment["rho"]}
@@ -92,12 +92,14 @@ class Sdf(Body):
     def _base(self, model: ET.Element) -> None:
         link = ET.SubElement(model, "link", {"name": "base_link"})
         inertial = ET.SubElement(link, "inertial")
-        leaves(inertial, {"pose": _pose(FLIP[:3] * self.centre_of_gravity), "mass": self.values["m"]})
+        append_elements(
+            inertial, {"pose": _pose(FLIP[:3] * self.centre_of_gravity), "mass": self.values["m"]}
+        )
         turned = self.inertia * np.outer(FLIP[:3], FLIP[:3])
         names = {
             f"i{'xyz'[i]}{'xyz'[j]}": turned[i, j] for i, j in combinations_with_replacement(range(3), 2)
         }
-        leaves(ET.SubElement(inertial, "inertia"), names)
+        append_elements(ET.SubElement(inertial, "inertia"), names)
         self._added(inertial)
         self._volume(link)
 
@@ -108,7 +110,7 @@ class Sdf(Body):
             return
         letters = "xyzpqr"
         pairs = combinations_with_replacement(range(6), 2)
-        leaves(
+        append_elements(
             ET.SubElement(inertial, "fluid_added_mass"),
             {f"{letters[i]}{letters[j]}": turned[i, j] for i, j in pairs},
         )
@@ -116,16 +118,16 @@ class Sdf(Body):
     def _volume(self, link: ET.Element) -> None:
         """A cube that displaces as much water as the model's buoyancy says."""
         if self.buoyancy is None:
-            leaves(link, {"gravity": "false"})
+            append_elements(link, {"gravity": "false"})
             self.losses.append("the model has no weight and buoyancy: gravity is off for it")
             return
         lift, centre = self.buoyancy
-        edge = self.edge(lift)
+        edge = self.cube_edge(lift)
         for kind in ("collision", "visual"):
             element = ET.SubElement(link, kind, {"name": kind})
-            leaves(element, {"pose": _pose(FLIP[:3] * centre)})
+            append_elements(element, {"pose": _pose(FLIP[:3] * centre)})
             box = ET.SubElement(ET.SubElement(element, "geometry"), "box")
-            leaves(box, {"size": " ".join([repr(float(edge))] * 3)})
+            append_elements(box, {"size": " ".join([repr(float(edge))] * 3)})
 
     def _thruster(self, model: ET.Element, thruster: Thruster) -> None:
         line = self.line_of_thrust(thruster)
@@ -134,28 +136,28 @@ class Sdf(Body):
         size, direction, point = line
         link, joint = f"{thruster.name}_link", f"{thruster.name}_joint"
         element = ET.SubElement(model, "link", {"name": link})
-        leaves(element, {"pose": _pose(FLIP[:3] * point, angles_of(FLIP[:3] * direction))})
+        append_elements(element, {"pose": _pose(FLIP[:3] * point, angles_of(FLIP[:3] * direction))})
         inertial = ET.SubElement(element, "inertial")
         mass = self.settings.propeller_mass
-        leaves(inertial, {"mass": mass})
+        append_elements(inertial, {"mass": mass})
         small = {f"i{a}{a}": mass * 1e-3 for a in "xyz"}
-        leaves(ET.SubElement(inertial, "inertia"), small)
+        append_elements(ET.SubElement(inertial, "inertia"), small)
         hinge = ET.SubElement(model, "joint", {"name": joint, "type": "revolute"})
-        leaves(hinge, {"parent": "base_link", "child": link})
+        append_elements(hinge, {"parent": "base_link", "child": link})
         axis = ET.SubElement(hinge, "axis")
-        leaves(axis, {"xyz": "1 0 0"})
-        leaves(ET.SubElement(axis, "limit"), {"lower": -1e16, "upper": 1e16})
+        append_elements(axis, {"xyz": "1 0 0"})
+        append_elements(ET.SubElement(axis, "limit"), {"lower": -1e16, "upper": 1e16})
         _plugin(model, "thruster", "Thruster", self._limits(thruster, joint, size))
 
     def _limits(self, thruster: Thruster, joint: str, size: float) -> dict[str, object]:
         head: dict[str, object] = {"namespace": self.name, "joint_name": joint, "velocity_control": "true"}
         head |= {"fluid_density": self.vehicle.environment["rho"], "propeller_diameter": 0.1}
         head |= {"thrust_coefficient": 0.02}
-        most = size * self.most_thrust(thruster)
+        most = size * self.max_thrust(thruster)
         return head | ({"max_thrust_cmd": most, "min_thrust_cmd": -most} if isfinite(most) else {})
 
     # --- what is lost --------------------------------------------------------------------------
-    def _what_is_left(self) -> Iterator[str]:
+    def _left_out_lines(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         yield from self.free_motions()
         yield from self.added_coriolis()
@@ -171,4 +173,4 @@ def _pose(position: Array, angles: tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
 
 def _plugin(parent: ET.Element, file: str, system: str, values: Mapping[str, object]) -> None:
     names = {"filename": f"gz-sim-{file}-system", "name": f"gz::sim::systems::{system}"}
-    leaves(ET.SubElement(parent, "plugin", names), values)
+    append_elements(ET.SubElement(parent, "plugin", names), values)

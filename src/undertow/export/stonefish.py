@@ -42,9 +42,9 @@ class Stonefish(Body):
         super().__init__(vehicle, "Stonefish", _GRAVITY)
         self.settings = settings or StonefishSettings()
         lift, self._centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
-        self._edge = self.edge(lift)
+        self._edge = self.cube_edge(lift)
         self._root = self._scenario()
-        self.losses += self._what_is_left()
+        self.losses += self._left_out_lines()
 
     def _scenario(self) -> ET.Element:
         root = ET.Element("scenario")
@@ -107,14 +107,14 @@ class Stonefish(Body):
             return
         size, direction, point = line
         push = ET.SubElement(robot, "actuator", {"name": thruster.name, "type": "push"})
-        if isfinite(most := size * self.most_thrust(thruster)):
+        if isfinite(most := size * self.max_thrust(thruster)):
             limits = {"lower_limit": numbers(-most), "upper_limit": numbers(most)}
             ET.SubElement(push, "specs", {**limits, "inverted": "false"})
         _transform(push, "origin", point, angles_of(direction))
         ET.SubElement(push, "link", {"name": _HULL})
 
     # --- what is lost --------------------------------------------------------------------------
-    def _what_is_left(self) -> Iterator[str]:
+    def _left_out_lines(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
         yield from self.free_motions()
         if self.effects("damping"):

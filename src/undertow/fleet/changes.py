@@ -90,7 +90,7 @@ class LeastSquares:
     covariance: Array  # (m, m): of the noise alone
     determined: NDArray[np.bool_]  # (m,): whether the days determine each
     shifts: Array  # (days, m): what leaving out each day does to the unknowns
-    fall: float  # how much less the sum of squares is than at zero
+    reduction: float  # how much less the sum of squares is than at zero
 
     def variance_of(self, days: Sequence[int] | slice = slice(None)) -> Array:
         """Jackknife variance by these days; they count as independent of each other."""
@@ -125,8 +125,8 @@ def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> LeastS
     grams = np.array([row.T @ row for row in rows])
     whole = np.sum(grams, axis=0) + known.T @ known
     shifts = _without(whole - grams, scale) - theta
-    fall = float(2 * theta @ whole[:-1, -1] - theta @ whole[:-1, :-1] @ theta)
-    return LeastSquares(theta, covariance, determined, shifts, fall)
+    reduction = float(2 * theta @ whole[:-1, -1] - theta @ whole[:-1, :-1] @ theta)
+    return LeastSquares(theta, covariance, determined, shifts, reduction)
 
 
 def _widened(design: Array) -> Array:
@@ -286,8 +286,8 @@ class ChangeTests:
         """Change of every direction."""
         if not span.enough:
             return []
-        alone = {d: c for kind in KINDS for d, c in self._moved(span, self.of(kind)).items()}
-        beside = alone | self._moved(span, self.of("drag", "thrust"))
+        alone = {d: c for kind in KINDS for d, c in self._changed_together(span, self.of(kind)).items()}
+        beside = alone | self._changed_together(span, self.of("drag", "thrust"))
         return [Change(d, *beside[d], two_sided_p(*alone[d])) for d in self.directions]
 
     def of(self, *kinds: Kind) -> list[Direction]:
@@ -311,7 +311,7 @@ class ChangeTests:
         self, span: Span, moving: Sequence[Direction], group: Sequence[Direction], own: Sequence[str]
     ) -> float:
         """Smallest p-value of some directions beside others, times how many they are (Bonferroni)."""
-        found = self._moved(span, [*moving, *group], own)
+        found = self._changed_together(span, [*moving, *group], own)
         return len(group) * min((two_sided_p(*found[d]) for d in group), default=1.0)
 
     def _p_value_of(self, span: Span, own: Sequence[str]) -> float:
@@ -327,7 +327,7 @@ class ChangeTests:
             if effect not in drag and not set(own) & set(self._constant)
         ]
 
-    def _moved(
+    def _changed_together(
         self, span: Span, moving: Sequence[Direction], beside: Sequence[str] = ()
     ) -> dict[Direction, tuple[float, float, float]]:
         """Value, standard error and degrees of freedom of directions that change together."""
@@ -412,12 +412,12 @@ def statements(asked: Sequence[SpanTest]) -> list[Statement]:
     return [_statement(a, limit) for a in asked]
 
 
-def holm(chances: Sequence[float], alpha: float) -> float:
+def holm(p_values: Sequence[float], alpha: float) -> float:
     """Largest p-value that is still significant after correction for all; less than any if none is.
 
     Step-down: the k-th smallest of m is held against alpha / (m - k + 1), until one fails.
     """
-    ordered = np.sort(chances)
+    ordered = np.sort(p_values)
     bounds = alpha / np.arange(len(ordered), 0, -1)
     failed = np.flatnonzero(ordered > bounds)
     passed = int(failed[0]) if len(failed) else len(ordered)
@@ -553,10 +553,7 @@ def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tupl
 def _thrust(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tuple[str, str]:
     text = ", ".join(map(_with_error, sure))
     if any(c.value > 0 for c in sure):
-        return (
-            "thrust",
-            f"thrust changed: {text}; more thrust is not wear (new propeller, new battery?)",
-        )
+        return ("thrust", f"thrust changed: {text}; more thrust is not wear (new propeller, new battery?)")
     return "thruster wear", f"thruster wear: {text}"
 
 

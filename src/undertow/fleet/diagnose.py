@@ -95,11 +95,7 @@ def _vehicle_report(draft: _Draft, verdicts: Sequence[Statement]) -> VehicleRepo
 
 
 def _period(
-    changes: ChangeTests,
-    name: str,
-    days: Sequence[Day],
-    found: Sequence[Change],
-    statement: Statement | None,
+    changes: ChangeTests, name: str, days: Sequence[Day], found: Sequence[Change], statement: Statement | None
 ) -> Period:
     panel = changes.panel
     solved = _fitted(changes, days)
@@ -109,7 +105,7 @@ def _period(
         days=len(days),
         samples=sum(d.samples for d in days),
         seconds=sum(d.seconds for d in days),
-        misfit=float(np.sqrt(max(total - solved.fall, 0.0) / entries)),
+        misfit=float(np.sqrt(max(total - solved.reduction, 0.0) / entries)),
         parameters=tuple(_parameter(panel, i, solved) for i in range(len(panel.free))),
         # Inertia is free by itself there, which only says how wear would look as added mass.
         changes=tuple(_shift(c) for c in found if c.direction.kind != "inertia"),
@@ -145,13 +141,13 @@ def _scores(changes: ChangeTests, days: Sequence[Day]) -> tuple[Score, ...]:
     """Reduction of the residual by effects that the model lacks, one by one."""
     panel = changes.panel
     plain = _fitted(changes, days)
-    left = sum(float(d.gram[-1, -1]) for d in days) - plain.fall
+    left = sum(float(d.gram[-1, -1]) for d in days) - plain.reduction
     count, found = sum(len(own) for own in panel.own.values()), []
     for effect, own in panel.own.items():
         solved = _fitted(changes, days, own)
         places = range(len(panel.free), len(panel.free) + len(own))
         chances = [two_sided_p(solved.theta[i], solved.errors[i], len(days) - 1) for i in places]
-        share = max(solved.fall - plain.fall, 0.0) / max(left, 1e-300)
+        share = max(solved.reduction - plain.reduction, 0.0) / max(left, 1e-300)
         found.append(Score(effect, float(share), min(1.0, count * min(chances, default=1.0))))
     return tuple(sorted(found, key=lambda s: -s.share)[:_SCORES])
 
@@ -272,7 +268,7 @@ def diagnose(
         report(0.05, f"reducing, pass {turn + 1} of {passes}")
         done = _reduced(jobs, known, engine, store, lambda share, words: report(0.05 + 0.9 * share, words))
         if turn + 1 < passes:
-            jobs = {v: _moved(jobs[v], *done[v]) for v in done}
+            jobs = {v: _relinearised(jobs[v], *done[v]) for v in done}
     _refuse_nothing(done, known, len(paths))
     report(0.95, "combining months")
     found = summary(done)
@@ -349,7 +345,7 @@ def _days(vehicle: str, job: Job, known: _Known, store: Store) -> list[Day]:
     return days_of(parts)
 
 
-def _moved(job: Job, panel: Panel, days: Sequence[Day]) -> Job:
+def _relinearised(job: Job, panel: Panel, days: Sequence[Day]) -> Job:
     """The job linearised at what all days of a vehicle say."""
     found = _fitted(ChangeTests(panel), days)
     model = panel.base

@@ -21,7 +21,7 @@ LISTEN = "127.0.0.1"
 
 
 @dataclass(frozen=True)
-class Waiting:
+class Timeouts:
     """Time limits for a cluster, s, and its batch size."""
 
     patience: float = 900.0  # without any answer; then what is left is given up
@@ -31,7 +31,7 @@ class Waiting:
     tasks: int = 3  # for each worker that wait at the scheduler: few, so that it does not grow with the fleet
 
 
-WAITING = Waiting()
+TIMEOUTS = Timeouts()
 
 
 Items = Sequence[tuple[Any, ...]]
@@ -73,7 +73,7 @@ def guarded(function: Callable[..., Any], *arguments: Any) -> Any:
 class DaskEngine:
     """A cluster of Dask."""
 
-    def __init__(self, client: Any, patience: float = WAITING.patience) -> None:
+    def __init__(self, client: Any, patience: float = TIMEOUTS.patience) -> None:
         self.client, self._patience = client, patience
 
     def results(self, function: Callable[..., Any], items: Items) -> Results:
@@ -81,7 +81,7 @@ class DaskEngine:
         token, last_reply, finished = uuid4().hex[:12], time.monotonic(), SimpleQueue[Any]()
         try:
             while waiting or running:
-                room = WAITING.tasks * max(self._workers(), 1) - len(running)
+                room = TIMEOUTS.tasks * max(self._workers(), 1) - len(running)
                 for _ in range(min(len(waiting), room)):
                     place, item = waiting.pop()
                     key = f"undertow-{token}-{place}"
@@ -104,7 +104,7 @@ class DaskEngine:
         if self.client.status != "running":
             return 0
         try:
-            return len(self.client.sync(self.client.scheduler.ncores, callback_timeout=WAITING.scheduler))
+            return len(self.client.sync(self.client.scheduler.ncores, callback_timeout=TIMEOUTS.scheduler))
         except (OSError, TimeoutError):  # client.nthreads() would wait for a scheduler that is stuck
             return 0
 
@@ -120,14 +120,14 @@ class DaskEngine:
         """Why no more results can arrive; empty while they can."""
         if self.client.status not in ("running", "connecting"):
             return "the scheduler was lost"
-        if silent > WAITING.workerless and not self._workers():
-            return f"the cluster has had no worker for {WAITING.workerless:g} s"
+        if silent > TIMEOUTS.workerless and not self._workers():
+            return f"the cluster has had no worker for {TIMEOUTS.workerless:g} s"
         return f"no answer of any worker for {self._patience:g} s" if silent > self._patience else ""
 
 
 def _next(finished: SimpleQueue[Any]) -> Any:
     try:
-        return finished.get(timeout=WAITING.poll)
+        return finished.get(timeout=TIMEOUTS.poll)
     except Empty:
         return None
 
@@ -142,7 +142,7 @@ def _in_one_line(error: Exception) -> str:
 def engine(
     scheduler: str | None = None,
     workers: int | None = None,
-    patience: float = WAITING.patience,
+    patience: float = TIMEOUTS.patience,
     listen: str | None = None,
 ) -> Iterator[Engine]:
     """Something that does the work."""
@@ -168,7 +168,7 @@ def _client(scheduler: str | None, workers: int | None, listen: str) -> Iterator
 
     # The profiler of workers looks at them a hundred times a second, which doubles the time of this work.
     settings = {
-        "distributed.comm.timeouts.connect": f"{WAITING.scheduler:g}s",
+        "distributed.comm.timeouts.connect": f"{TIMEOUTS.scheduler:g}s",
         "distributed.worker.profile.enabled": False,
     }
     with dask.config.set(settings):
@@ -215,7 +215,7 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
     client = Client.__new__(Client)
     try:
         _check_address(address)
-        Client.__init__(client, address, timeout=WAITING.scheduler, set_as_default=False)
+        Client.__init__(client, address, timeout=TIMEOUTS.scheduler, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
         client.status = "closed"  # Dask would wait, at some later time, for what never began
         reason = " ".join(str(error).split())[:200] or type(error).__name__
@@ -226,7 +226,7 @@ def _connected(address: Any, where: str) -> Iterator[Any]:
     try:
         yield client
     finally:
-        client.close(timeout=WAITING.scheduler)
+        client.close(timeout=TIMEOUTS.scheduler)
 
 
 def _check_own(address: str) -> None:

@@ -87,7 +87,7 @@ def partition_of(path: Path, mapping: LogMapping) -> Partition:
                 f"{path} is neither a Parquet file nor a vehicle log: write the table as Parquet"
             )
     keys = {m[1]: unquote(m[2]) for part in path.parent.parts if (m := _KEY.fullmatch(part))}
-    head = {} if own or len(keys) == 2 else _said_inside(path, mapping)
+    head = {} if own or len(keys) == 2 else _from_columns(path, mapping)
     vehicle = keys.get("vehicle", head.get("vehicle", path.parent.name))
     if vehicle is None or not str(vehicle).strip():
         raise UndertowError(f"{path} has an empty vehicle name: name its folder, such as vehicle=rov7")
@@ -103,7 +103,7 @@ def _clock(time: Any, mapping: LogMapping) -> Any:
     return scale_offset(mapping.time.unit, "s", of=f"time unit {mapping.time.unit!r}")[0] * time
 
 
-def _said_inside(path: Path, mapping: LogMapping) -> dict[str, Any]:
+def _from_columns(path: Path, mapping: LogMapping) -> dict[str, Any]:
     import polars as pl
 
     from undertow.identification.logs.table import flat_table

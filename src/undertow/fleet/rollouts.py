@@ -84,27 +84,27 @@ class Band:
 def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) -> tuple[Array, str]:
     """Parameters drawn from the uncertainty of a fit, shape (count, n_parameters), and its source."""
     from undertow.codegen.functions import Functions
-    from undertow.control.linear.family import parameter_covariance
+    from undertow.control.linear.family import spread_of
 
     vehicle = load_vehicle(source, effect_files=[Path(f) for f in effects])
-    spread = parameter_covariance(vehicle, source)
-    model = WeakModel(Functions(vehicle), spread.names)
+    uncertainty = spread_of(vehicle, source)
+    model = WeakModel(Functions(vehicle), uncertainty.names)
     places = list(model.places)
-    low, high = np.array([vehicle.declaration(n).bounds for n in spread.names]).T
+    low, high = np.array([vehicle.declaration(n).bounds for n in uncertainty.names]).T
     centre = np.array(model.functions.values(), dtype=float)
     random = np.random.default_rng(seed)
     found: list[Array] = []
     most = int(count / _LIMITS.refused)
     for _ in range(most):
-        shift = random.multivariate_normal(np.zeros(len(places)), spread.covariance, method="eigh")
+        shift = random.multivariate_normal(np.zeros(len(places)), uncertainty.covariance, method="eigh")
         p = centre.copy()
         p[places] = np.clip(centre[places] + shift, low, high)
         if not model.limits.violated(p):
             found.append(p)
         if len(found) == count:
-            return np.array(found), spread.source
+            return np.array(found), uncertainty.source
     raise UndertowError(
-        f"{most - len(found)} of {most} vehicles drawn from the {spread.source} have no positive mass "
+        f"{most - len(found)} of {most} vehicles drawn from the {uncertainty.source} have no positive mass "
         "matrix: fit the vehicle to better logs"
     )
 
@@ -126,7 +126,7 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
     paths = _paths(predictor, chosen, p, _LIMITS.start * sigma * random.standard_normal((count, len(sigma))))
-    good = _credible(paths, chosen.t[0])
+    good = _plausible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")
     noisy = paths[good] + sigma * random.standard_normal(paths[good].shape)
@@ -136,7 +136,7 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     return Band(source.log, window, chosen.names, t, measured, low, median, high, int(np.sum(~good)))
 
 
-def _credible(paths: Array, t: Array) -> NDArray[np.bool_]:
+def _plausible(paths: Array, t: Array) -> NDArray[np.bool_]:
     """Which rollouts stay what a vehicle in water can do, shape (count,); of paths (count, k, 2n) of pose and
     velocities."""
     from undertow.control.closed_loop.measures import PLAUSIBLE

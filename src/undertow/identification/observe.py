@@ -71,9 +71,9 @@ class Observed:
     truth: Truth | None = None  # true states at the rows of the filter, of a reference
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """Whether innovations are consistent with the filter, white, and from nearly all reports."""
-        return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
+        return self.nis[-1].consistent and all(one.white for one in self.white) and not self.lost
 
     @cached_property
     def nees(self) -> tuple[Nees, ...]:
@@ -125,9 +125,9 @@ class ObservedLogs:
         return self.each[0].process
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """The same of all logs together."""
-        return self.nis[-1].honest and all(one.white for one in self.white) and not self.lost
+        return self.nis[-1].consistent and all(one.white for one in self.white) and not self.lost
 
     @property
     def noise(self) -> dict[str, float]:
@@ -176,10 +176,10 @@ def _often_rejected(nis: Sequence[Normalised], rejected: Mapping[str, int]) -> d
 
 def _tests(nis: Sequence[Normalised], white: Sequence[Whiteness], nees: Sequence[Nees]) -> dict[str, object]:
     found: dict[str, object] = {
-        "nis": [vars(one) | {"honest": one.honest} for one in nis],
+        "nis": [vars(one) | {"honest": one.consistent} for one in nis],
         "whiteness": [vars(one) | {"white": one.white} for one in white],
     }
-    return found | ({"nees": [vars(one) | {"honest": one.honest} for one in nees]} if nees else {})
+    return found | ({"nees": [vars(one) | {"honest": one.consistent} for one in nees]} if nees else {})
 
 
 def observe_logs(
@@ -250,8 +250,8 @@ def observe(
     filtered = Observer(what, densities).run(reports, mean, covariance, chosen, progress)
     found = smoothed(filtered)
     last = (found.mean[-1], found.deviation[-1])
-    known: Flags = np.asarray(reports.there.any(axis=0))
-    rejected = reports.there & ~filtered.used
+    known: Flags = np.asarray(reports.present.any(axis=0))
+    rejected = reports.present & ~filtered.used
     return Observed(
         _as_run(run, what, found, rows),
         process,

@@ -120,7 +120,7 @@ def load_effects(path: Path) -> list[type[Effect]]:
         loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's file raises is the user's to mend
         del sys.modules[name]
-        raise UndertowError(f"{_place(path, error)} cannot be run: {_what(error)}") from error
+        raise UndertowError(f"{_location(path, error)} cannot be run: {_error_text(error)}") from error
     for _, cls in inspect.getmembers(module, inspect.isclass):
         if issubclass(cls, Effect) and cls.__module__ == name:
             _guard(cls, path)
@@ -153,14 +153,14 @@ def _guarded(method: Callable[..., Any], cls: type[Effect], path: Path) -> Calla
         except Exception as error:
             effect = getattr(cls, "id", cls.__name__)
             raise UndertowError(
-                f"{_place(path, error)}: {method.__name__}() of effect '{effect}' fails with {_what(error)}: "
-                "correct that line"
+                f"{_location(path, error)}: {method.__name__}() of effect '{effect}' fails with "
+                f"{_error_text(error)}: correct that line"
             ) from error
 
     return called
 
 
-def _place(path: Path, error: BaseException) -> str:
+def _location(path: Path, error: BaseException) -> str:
     """The file of a user and, where an error comes from a line of it, the line."""
     frames = [(f.filename, f.lineno) for f in extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError):
@@ -169,7 +169,7 @@ def _place(path: Path, error: BaseException) -> str:
     return f"effect file '{path}'" + (f", line {lines[-1]}" if lines else "")
 
 
-def _what(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 

@@ -35,7 +35,7 @@ from .symbols import (
 
 _HALF = sm.Rational(1, 2)
 # Statements of effects that are remembered: those of a whole catalogue on some vehicles.
-_REMEMBERED = 512
+_CACHED = 512
 Meanings = tuple[tuple[sm.Symbol, sm.Expr], ...]
 
 
@@ -53,7 +53,7 @@ class _Setting(NamedTuple):
         return expression.xreplace(dict(self.meanings))
 
 
-@lru_cache(maxsize=_REMEMBERED)
+@lru_cache(maxsize=_CACHED)
 def stated(effect: Wrench) -> sm.ImmutableMatrix:
     """Wrench of an effect as stated, abbreviations expanded, shape (6, 1)."""
     s = signals(effect.thrusters, effect.surface_names)
@@ -65,7 +65,7 @@ def stated(effect: Wrench) -> sm.ImmutableMatrix:
     return effect.spelled_out(wrench, s).as_immutable()
 
 
-@lru_cache(maxsize=_REMEMBERED)
+@lru_cache(maxsize=_CACHED)
 def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
     """Wrench of an effect in the degrees of freedom of a vehicle."""
     return setting.reduce(stated(effect).extract(list(setting.dofs), [0]))
@@ -240,7 +240,7 @@ class Composition:
     @cached_property
     def chain(self) -> tuple[sm.Matrix, dict[sm.Symbol, sm.Expr], dict[sm.Symbol, sm.Expr]]:
         """Output of the actuation chain, rates of its states, and the states' values at rest."""
-        ways = {of: column([f"command_{n}" for n in names]) for of, names in self._ways.items()}
+        ways = {of: column([f"command_{n}" for n in names]) for of, names in self._actuator_names.items()}
         rates: dict[sm.Symbol, sm.Expr] = {}
         rest: dict[sm.Symbol, sm.Expr] = {}
         for effect in self.of_kind(Actuation):
@@ -254,14 +254,14 @@ class Composition:
         return self.reduce(value), {x: self.reduce(r) for x, r in rates.items()}, rest
 
     @property
-    def _ways(self) -> dict[bool, tuple[str, ...]]:
+    def _actuator_names(self) -> dict[bool, tuple[str, ...]]:
         """Names of the actuators, thrusters and then surfaces, by `Actuation.of_surfaces`."""
         return {False: self.thrusters, True: self.surfaces}
 
     @cached_property
     def dead_time(self) -> sm.Expr:
         """Sum of the pure delays between command and thrust, s; none where there is nothing to command."""
-        if not any(self._ways.values()):
+        if not any(self._actuator_names.values()):
             return sm.Integer(0)
         return sum((e.dead_time() for e in self.effects if isinstance(e, Actuation)), sm.Integer(0))
 

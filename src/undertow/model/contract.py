@@ -15,7 +15,7 @@ from undertow.errors import UndertowError
 from .catalogue import Catalogue, catalogue
 from .composition import Statement, function_of, statement_of
 from .effect import KINDS, Effect, Wrench
-from .parameter import WAYS, Parameter
+from .parameter import DIRECTIONS, Parameter
 from .symbols import DOFS, POSE, VELOCITY, failing_pivot, pose_jacobian, signal_units, signals, symbol
 from .units import dimension, require_unit
 
@@ -109,7 +109,7 @@ def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
 def _names_of(specimen: Effect) -> list[str]:
     """Names of parameters, with both directions of those that may differ, and of states."""
     parameters = specimen.parameters
-    sides = (f"{p.name}_{way}" for p in parameters for way in WAYS if p.motion is not None)
+    sides = (f"{p.name}_{direction}" for p in parameters for direction in DIRECTIONS if p.motion is not None)
     return [*(p.name for p in parameters), *sides, *specimen.states]
 
 

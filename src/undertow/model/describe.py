@@ -86,7 +86,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         details=" ".join(details.split()),
         equations=tuple(_equations(statement)),
         legend=dict(_legend(statement)),
-        parameters=tuple(_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
+        parameters=tuple(_parameter_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
         also_in_files=cls.file_units(),
         from_logs={d.name: f"{d.about}, {short_unit(d.unit)}" for d in logged(cls)},
         requires=cls.requires,
@@ -109,7 +109,7 @@ def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
             yield from declaration.expand(())
 
 
-def _note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
+def _parameter_note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
     low, high = (None if math.isinf(b) else b for b in p.bounds)
     return ParameterNote(
         name=p.name,
@@ -121,11 +121,11 @@ def _note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
         default=p.default,
         directional=p.motion is not None,
         per_run=p.per_run,
-        about=p.about + _where(p),
+        about=p.about + _log_condition(p),
     )
 
 
-def _where(p: Parameter) -> str:
+def _log_condition(p: Parameter) -> str:
     """With which logs a parameter is there, if not with all."""
     without = f" (unless the log has {p.without_log})" if p.without_log else ""
     return without + (f" (where the log has {p.with_log})" if p.with_log else "")

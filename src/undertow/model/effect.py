@@ -516,7 +516,7 @@ class Curve:
         extremum.
         """
         steps = [(b[0] - a[0], (b[1] - a[1]) / (b[0] - a[0])) for a, b in pairwise(points)]
-        inner = (_between(*one, *other) for one, other in pairwise(steps))
+        inner = (_slope_between(*one, *other) for one, other in pairwise(steps))
         slopes = [steps[0][1], *inner, steps[-1][1]]
         pieces = []
         for (x, _), (end, _), (h, rise), a, b in zip(
@@ -587,7 +587,7 @@ def _thrust(curve: Curve, command: sm.Expr) -> sm.Expr:
 _GRID, _FALL, _HALVINGS = 400, 1e-9, 60
 
 
-def _between(h: float, rise: float, after: float, next_rise: float) -> float:
+def _slope_between(h: float, rise: float, after: float, next_rise: float) -> float:
     """Slope at a point between two steps, of lengths h and `after`."""
     if rise * next_rise <= 0:
         return 0.0

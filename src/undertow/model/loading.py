@@ -150,7 +150,7 @@ class Statements:
         value = si_of(place, raw, taken.unit)
         if not isclose(value, elsewhere, rel_tol=taken.rounding, abs_tol=_NOTHING):
             fitted = bool(field_of(entry, "estimate")) or self._fitted(taken)
-            yield _differs(place, value, elsewhere, taken, most=inf if fitted else taken.most)
+            yield _difference_text(place, value, elsewhere, taken, most=inf if fitted else taken.most)
 
     def _fitted(self, taken: Taken) -> bool:
         """Whether a fit may have moved what the owner states; what it found must fit into a file."""
@@ -163,7 +163,7 @@ def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
     return {symbol(n): sm.Float(v) for n, v in values.items()}
 
 
-def _differs(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
+def _difference_text(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
     other = f"{taken.words or taken.key} = {elsewhere:g} {taken.unit} by [effects.{taken.owner}]"
     line = f"{place} = {value:g} {taken.unit}, but {other}"
     how = (
@@ -271,7 +271,9 @@ def _vehicle_and_remarks(
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
     inputs = _inputs(table.inputs, table.degrees_of_freedom, known, logged)
-    effects = tuple(_chosen(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects)
+    effects = tuple(
+        _effect_class(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects
+    )
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
         "g": si_of("gravity", table.gravity, "m/s^2"),
@@ -360,7 +362,7 @@ def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[s
     return {n: found[n] for n in known if vehicle.value_of(n).source.startswith("fit to ")}
 
 
-def _chosen(effect_id: str, known: Catalogue) -> type[Effect]:
+def _effect_class(effect_id: str, known: Catalogue) -> type[Effect]:
     cls = lookup(effect_id, known)
     if cls.built_in:
         raise UndertowError(
@@ -405,12 +407,14 @@ def _alias_values(
     assumed = any(e.assumed for e in aliases.values())
     estimated = {n: v.sigma for n, v in values.items() if v.estimate and v.sigma is not None}
     estimated |= {n: sigma for n, sigma in known_to.items() if n in values}
-    sought = {n for k in aliases if aliases[k].estimate for n in _touched(effect, plain, converted, k)}
+    sought = {
+        n for k in aliases if aliases[k].estimate for n in _affected_parameters(effect, plain, converted, k)
+    }
     # A mass that is to be found, at a known place, leaves its static moment to be found, too, and so does
     # its weight the righting moment.
-    sought |= _carried_over(effect, plain, converted, estimated).keys()
-    stated = {k: _error_of(effect, k, e.sigma) for k, e in aliases.items() if e.sigma is not None}
-    sigma = _carried_over(effect, plain, converted, estimated | stated)
+    sought |= _propagated_sigmas(effect, plain, converted, estimated).keys()
+    stated = {k: _stated_sigma(effect, k, e.sigma) for k, e in aliases.items() if e.sigma is not None}
+    sigma = _propagated_sigmas(effect, plain, converted, estimated | stated)
     new = {
         n: Value(v, estimate=n in sought, sigma=sigma.get(n), source=source, assumed=assumed)
         for n, v in converted.items()
@@ -425,11 +429,8 @@ def _alias_values(
     return new
 
 
-def _carried_over(
-    effect: Effect,
-    plain: Mapping[str, float],
-    converted: Mapping[str, float],
-    errors: Mapping[str, float],
+def _propagated_sigmas(
+    effect: Effect, plain: Mapping[str, float], converted: Mapping[str, float], errors: Mapping[str, float]
 ) -> dict[str, float]:
     """Standard deviations of stated quantities, propagated from the parameters with these errors."""
     found: dict[str, float] = {}
@@ -440,11 +441,11 @@ def _carried_over(
     return {n: s for n, s in found.items() if s > 0.0}
 
 
-def _error_of(effect: Effect, key: str, sigma: str | float) -> float:
+def _stated_sigma(effect: Effect, key: str, sigma: str | float) -> float:
     return si_of(f"[effects.{effect.id}] sigma of {key}", sigma, effect.file_units()[key])
 
 
-def _touched(
+def _affected_parameters(
     effect: Effect, plain: Mapping[str, float], converted: Mapping[str, float], key: str
 ) -> list[str]:
     """Parameters that a key stands for among others."""
@@ -452,16 +453,16 @@ def _touched(
     return [n for n, v in converted.items() if moved[n] != v]
 
 
-def _made_of(effect: Effect, key: str) -> list[str]:
+def _parameters_of_key(effect: Effect, key: str) -> list[str]:
     """Parameters of an effect that a key stands for, whatever their values."""
     ones = dict.fromkeys((p.name for p in effect.parameters), 1.0)
-    return _touched(effect, {**ones, key: 1.0}, effect.from_file({**ones, key: 1.0}), key)
+    return _affected_parameters(effect, {**ones, key: 1.0}, effect.from_file({**ones, key: 1.0}), key)
 
 
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
     if entry.estimate and key not in effect.former_keys:
-        base = _made_of(effect, key)
+        base = _parameters_of_key(effect, key)
         shown = ", ".join(f"{p.name} ({p.about})" for p in effect.parameters if p.name in base)
         lines = ", ".join(f"{name} = {{ value = ..., estimate = true }}" for name in base)
         raise UndertowError(

@@ -193,7 +193,7 @@ class LoggedOnly(Parameter):
         return ()
 
 
-WAYS = ("forward", "backward")
+DIRECTIONS = ("forward", "backward")
 DIAGONAL = tuple((i, i) for i in range(6))
 OFF_DIAGONAL = tuple((i, j) for i in range(6) for j in range(6) if i != j)
 UPPER_TRIANGLE = tuple((i, j) for i in range(6) for j in range(i + 1, 6))

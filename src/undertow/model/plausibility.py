@@ -63,7 +63,7 @@ def _check_environment(vehicle: Vehicle) -> None:
 # --- numbers --------------------------------------------------------------------------------------
 def _numbers(vehicle: Vehicle) -> Iterator[str]:
     for name, value in vehicle.values.items():
-        yield from _out_of(_place(vehicle, name), value.value, (0.0, _LIMITS.largest))
+        yield from _out_of_range(_place(vehicle, name), value.value, (0.0, _LIMITS.largest))
         yield from _sigma(_place(vehicle, name), value)
 
 
@@ -77,7 +77,7 @@ def _table(vehicle: Vehicle, name: str) -> str:
     return f"[effects.{next(owners, 'none')}]"
 
 
-def _out_of(place: str, value: float, limits: Range, unit: str = "") -> Iterator[str]:
+def _out_of_range(place: str, value: float, limits: Range, unit: str = "") -> Iterator[str]:
     low, high = limits
     if not (isfinite(value) and low <= abs(value) <= high):
         yield (
@@ -89,7 +89,7 @@ def _out_of(place: str, value: float, limits: Range, unit: str = "") -> Iterator
 def _sigma(place: str, value: Value) -> Iterator[str]:
     # None: not stated. A fit to data without noise finds zero, one to no data infinity.
     if value.sigma is not None and 0 < value.sigma < inf:
-        yield from _out_of(f"{place} sigma", value.sigma, _LIMITS.sigma)
+        yield from _out_of_range(f"{place} sigma", value.sigma, _LIMITS.sigma)
 
 
 # --- thrusters ------------------------------------------------------------------------------------
@@ -97,19 +97,19 @@ def _thrusters(vehicle: Vehicle, size: VehicleSize | None) -> Iterator[str]:
     for thruster in vehicle.thrusters:
         place, thrust = f"thruster '{thruster.name}'", thruster.thrust_per_command
         # Rounding leaves 1e-17 where a cosine is zero, so it is the largest entry that cannot be small.
-        yield from _out_of(
+        yield from _out_of_range(
             f"{place} wrench, its largest entry", max(thruster.wrench, key=abs), _LIMITS.thrust
         )
         if thrust.value:  # none at rest is right for a rudder or a fin: what it gives is rudder_force
-            yield from _out_of(f"{place} thrust_per_command", thrust.value, _LIMITS.thrust, "N")
+            yield from _out_of_range(f"{place} thrust_per_command", thrust.value, _LIMITS.thrust, "N")
         yield from _sigma(f"{place} thrust_per_command", thrust)
         if thruster.limit is not None:
-            yield from _out_of(f"{place} limit", thruster.limit, _LIMITS.command)
+            yield from _out_of_range(f"{place} limit", thruster.limit, _LIMITS.command)
         if size is not None and thruster.law is None:
-            yield from _pushed(thruster, size.mass)
+            yield from _excessive_thrust(thruster, size.mass)
 
 
-def _pushed(thruster: Thruster, mass: float) -> Iterator[str]:
+def _excessive_thrust(thruster: Thruster, mass: float) -> Iterator[str]:
     command = 1.0 if thruster.limit is None else thruster.limit
     force = hypot(*thruster.wrench[:3]) * thruster.thrust_per_command.value * command
     if force / mass > _LIMITS.acceleration and not thruster.thrust_per_command.estimate:
@@ -130,7 +130,7 @@ def _effects(vehicle: Vehicle, known: Mapping[str, float]) -> Iterator[str]:
 
 def _places(vehicle: Vehicle, size: VehicleSize) -> Iterator[str]:
     extent = max(size.length, size.gyration)
-    for place, arm in _arms(vehicle):
+    for place, arm in _lever_arms(vehicle):
         if abs(arm) > _LIMITS.farthest * extent:
             yield (
                 f"{place} is {abs(arm):.3g} m off the body origin of a vehicle of {size.mass:g} kg (limit "
@@ -138,7 +138,7 @@ def _places(vehicle: Vehicle, size: VehicleSize) -> Iterator[str]:
             )
 
 
-def _arms(vehicle: Vehicle) -> Iterator[tuple[str, float]]:
+def _lever_arms(vehicle: Vehicle) -> Iterator[tuple[str, float]]:
     """Distances from the body origin that the file states, m; a fitted one may be anywhere."""
     for thruster in vehicle.thrusters:
         force, moment = hypot(*thruster.wrench[:3]), hypot(*thruster.wrench[3:])
@@ -169,13 +169,13 @@ def _check_complete(vehicle: Vehicle) -> None:
         if parameter is not None and parameter.must_be_given and name not in vehicle.values:
             raise UndertowError(
                 f"{_table(vehicle, name)} lacks {name} ({parameter.about}): give it in {parameter.unit}"
-                f"{_between(parameter.bounds)}"
+                f"{_range_text(parameter.bounds)}"
             )
     if not vehicle.mass_matrix.free_symbols:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
 
 
-def _between(bounds: Range) -> str:
+def _range_text(bounds: Range) -> str:
     limits = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
     return f", {' '.join(limits)}" if limits else ""
 
@@ -189,7 +189,7 @@ def _check_defined(vehicle: Vehicle) -> None:
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
     nu = set(vehicle.composition.nu)
     creeping = {speed: known | dict.fromkeys(nu, sm.Float(speed)) for speed in _CREEPING}
-    for what, part in _stated(vehicle):
+    for what, part in _equation_parts(vehicle):
         # What no velocity is in is the same at all of them.
         for speed in _CREEPING if nu & part.free_symbols else _CREEPING[:1]:
             if not all(isfinite(_number(row, creeping[speed])) for row in part):
@@ -200,7 +200,7 @@ def _check_defined(vehicle: Vehicle) -> None:
                 )
 
 
-def _stated(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
+def _equation_parts(vehicle: Vehicle) -> Iterator[tuple[str, sm.Matrix]]:
     c = vehicle.composition
     output, rates, _ = c.chain
     yield from ((f"the force of {effect.id}", wrench) for effect, wrench in c.wrenches.items())
@@ -265,14 +265,14 @@ def diagonal_entries(effect: Effect) -> dict[int, str]:
     return found
 
 
-def _given(vehicle: Vehicle, name: str) -> bool:
+def _is_stated(vehicle: Vehicle, name: str) -> bool:
     return bool(vehicle.values_of(vehicle.declared_parameters[name]))
 
 
 def _missing_entries(vehicle: Vehicle) -> Iterator[str]:
     for effect in vehicle.effects:
         entries = diagonal_entries(effect)
-        missing = [i for i in vehicle.dof_indices if i in entries and not _given(vehicle, entries[i])]
+        missing = [i for i in vehicle.dof_indices if i in entries and not _is_stated(vehicle, entries[i])]
         if missing:
             names, motions = ", ".join(entries[i] for i in missing), ", ".join(DOFS[i] for i in missing)
             are, they = ("is a degree", "it counts") if len(missing) == 1 else ("are degrees", "they count")
@@ -285,7 +285,7 @@ def _undamped(vehicle: Vehicle) -> Iterator[str]:
         for effect in vehicle.effects
         if effect.family == "damping"
         for i, name in diagonal_entries(effect).items()
-        if _given(vehicle, name)
+        if _is_stated(vehicle, name)
     }
     for effect, wrench in vehicle.composition.wrenches.items():
         if effect.family == "damping" and not diagonal_entries(effect):  # of strips, or by lift

@@ -43,9 +43,9 @@ def safe(value: Any) -> Any:
 
 def append(table: Any, key: str, item: Any) -> None:
     """Add a key at the end of a table, before the comment that belongs to what follows the table."""
-    tail = _cut(table)
+    tail = _detach_tail(table)
     table.append(key, item)
-    _paste(table, tail)
+    _attach_tail(table, tail)
 
 
 def append_table(document: Any, parent: str, key: str, table: Any) -> None:
@@ -54,9 +54,9 @@ def append_table(document: Any, parent: str, key: str, table: Any) -> None:
     if isinstance(parents, InlineTable):
         parents.append(key, table)
     elif isinstance(parents, Table):
-        tail = _cut(_last(parents))
+        tail = _detach_tail(_last(parents))
         parents.append(key, table)
-        _paste(table, tail or [(None, Whitespace("\n"))])
+        _attach_tail(table, tail or [(None, Whitespace("\n"))])
     else:  # several places of the file add to it
         outer = tomlkit.table(is_super_table=True)
         outer.append(key, table)
@@ -69,7 +69,7 @@ def _last(table: Any) -> Any:
     return _last(inner[-1]) if inner else table
 
 
-def _cut(table: Any) -> list[Any]:
+def _detach_tail(table: Any) -> list[Any]:
     """Take off what stands after the first blank line behind the last key."""
     if not isinstance(table, Table):
         return []
@@ -81,7 +81,7 @@ def _cut(table: Any) -> list[Any]:
     return tail
 
 
-def _paste(table: Any, tail: list[Any]) -> None:
+def _attach_tail(table: Any, tail: list[Any]) -> None:
     if isinstance(table, Table):
         table.value.body.extend(tail)
 
@@ -133,7 +133,7 @@ class Entry:
         """Whether an entry of the file says other numbers."""
         old, new = _fields(raw), self.quantities()
         present = {k for k in _QUANTITIES if k in old}
-        return present != set(new) or not all(_same(old[k], new[k], self.unit, place) for k in new)
+        return present != set(new) or not all(_same_number(old[k], new[k], self.unit, place) for k in new)
 
 
 def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
@@ -157,13 +157,13 @@ def update_entry(raw: Any, wanted: Entry, place: str) -> Any:
 
 def _changed_fields(old: Mapping[str, Any], wanted: Entry, place: str) -> dict[str, Any]:
     """Keys with their new values, None for those that go."""
-    like = _like(old, wanted.unit)
+    like = _style_of(old, wanted.unit)
     new = wanted.quantities()
     gone = {k: None for k in _QUANTITIES if k in old and k not in new}
     written = {
         k: stated(number, wanted.unit, old.get(k, like))
         for k, number in new.items()
-        if k not in old or not _same(old[k], number, wanted.unit, place)
+        if k not in old or not _same_number(old[k], number, wanted.unit, place)
     }
     numbers = {k: v for k, v in written.items() if k in wanted.numbers}
     estimate = {"estimate": True} if wanted.estimate else {}
@@ -180,11 +180,11 @@ def _fields(raw: Any) -> dict[str, Any]:
     return dict(raw) if isinstance(raw, Mapping) else {"value": raw}
 
 
-def _same(raw: Any, number: float, unit: str, place: str) -> bool:
+def _same_number(raw: Any, number: float, unit: str, place: str) -> bool:
     return isclose(si_of(place, raw, unit), number, rel_tol=_SAME / 2)
 
 
-def _like(old: Mapping[str, Any], unit: str) -> Any:
+def _style_of(old: Mapping[str, Any], unit: str) -> Any:
     """A quantity whose style a new one follows: one of the same entry, or the SI unit."""
     first = next((old[k] for k in _QUANTITIES if k in old), None)
     if first is not None:
@@ -308,7 +308,7 @@ def _row(value: Any) -> Any:
 
 def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict[str, Any]:
     names = [str(n) for n in stated["parameters"]]
-    turn = [_turn(vehicle, name, signs) for name in names]
+    turn = [_file_sign(vehicle, name, signs) for name in names]
     rows = [
         [float(f"{turn[i] * turn[j] * float(v):.{_COVARIANCE_DIGITS}g}") for j, v in enumerate(row)]
         for i, row in enumerate(stated["matrix"])
@@ -316,7 +316,7 @@ def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict
     return {"parameters": names, "matrix": rows}
 
 
-def _turn(vehicle: Vehicle, name: str, signs: str) -> float:
+def _file_sign(vehicle: Vehicle, name: str, signs: str) -> float:
     return printed(vehicle.declaration(name), 1.0, signs)
 
 
@@ -438,7 +438,7 @@ def _write_effect(
     for parameter in effect.parameters:
         values = vehicle.values_of(parameter)
         if values and parameter.name not in derived:
-            wanted = _wanted(parameter, values, stated.signs)
+            wanted = _entry_of(parameter, values, stated.signs)
             wanted = replace(wanted, override=parameter.name in taken)
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
 
@@ -449,7 +449,7 @@ def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
     return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
 
 
-def _wanted(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Entry:
+def _entry_of(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Entry:
     return Entry(
         numbers={key: printed(parameter, v.value, signs) for key, v in values.items()},
         sigmas=_sigmas(values),
@@ -545,5 +545,5 @@ def _write_hardware(
             name = f"{short}_{owner}"
             value = vehicle.values.get(name)
             if value is not None and name not in elsewhere and value != stated.get(name):
-                wanted = _wanted(vehicle.declaration(name), {"value": value}, file.signs)
+                wanted = _entry_of(vehicle.declaration(name), {"value": value}, file.signs)
                 _write(table, key, wanted, f"{key} of '{owner}'", history)

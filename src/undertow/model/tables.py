@@ -238,9 +238,9 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     )
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
-    law, unit = _law(place, table, folder)
+    law, unit = _thrust_law(place, table, folder)
     limit = _limit(place, table.limit)
-    lowest = _lowest(place, table.lowest, limit)
+    lowest = _lowest_command(place, table.lowest, limit)
     push = _thrust_per_command(place, table)
     return Thruster(table.name, wrench, push, limit, lowest, law, unit, position)
 
@@ -250,7 +250,7 @@ TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
 PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
 
 
-def _law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
+def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
     """How the command becomes thrust, and the command's unit."""
     stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
     if "propeller" in stated and len(stated) > 1:
@@ -314,7 +314,7 @@ def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
         raise UndertowError(
             f"{place}: commands of curve '{path}' neither rise nor fall from row to row: sort them"
         )
-    return _thinned(found, settings)
+    return _reduced(found, settings)
 
 
 def _is_number(text: str) -> bool:
@@ -324,7 +324,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _thinned(points: list[Point], settings: CurveSettings) -> list[Point]:
+def _reduced(points: list[Point], settings: CurveSettings) -> list[Point]:
     """Points without those that the curve through the others reproduces."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}
@@ -377,14 +377,14 @@ def _limit(place: str, limit: Any) -> float | None:
     if limit is None:
         return None
     # Where the command is the thrust itself, its limit is naturally written in N.
-    return positive(f"{place} limit", limit, _counted(limit))
+    return positive(f"{place} limit", limit, _limit_unit(limit))
 
 
-def _lowest(place: str, lowest: Any, limit: float | None) -> float | None:
+def _lowest_command(place: str, lowest: Any, limit: float | None) -> float | None:
     """The lowest command, which may be zero where nothing is given in reverse."""
     if lowest is None:
         return None
-    value = si_of(f"{place} lowest", lowest, _counted(lowest))
+    value = si_of(f"{place} lowest", lowest, _limit_unit(lowest))
     least = -math.inf if limit is None else -limit
     if not least <= value <= 0.0:
         raise UndertowError(
@@ -393,7 +393,7 @@ def _lowest(place: str, lowest: Any, limit: float | None) -> float | None:
     return value
 
 
-def _counted(limit: Any) -> str:
+def _limit_unit(limit: Any) -> str:
     return "N" if isinstance(limit, str) and "N" in limit else "command"
 
 
@@ -528,7 +528,7 @@ def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
     # Members of a union complain each for itself; a key that is too much is the more telling complaint.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first = complaints[0]
-    place, kind, found = _place(first["loc"]), first["type"], _shown(first["input"])
+    place, kind, found = _location(first["loc"]), first["type"], _shown(first["input"])
     if kind == "extra_forbidden":
         keys = _keys_at(first["loc"], model)
         hint = nearest(str(first["loc"][-1]), keys)
@@ -542,7 +542,7 @@ def _first_complaint(error: ValidationError, model: type[BaseModel]) -> str:
     return f"'{place}': {first['msg'].removeprefix('Value error, ')}, found {found}{hint}"
 
 
-def _place(loc: tuple[int | str, ...]) -> str:
+def _location(loc: tuple[int | str, ...]) -> str:
     parts = [f"#{p + 1}" if isinstance(p, int) else p for p in loc if p not in _UNION_MEMBERS]
     return ".".join(parts).replace("schema_", "schema")
 

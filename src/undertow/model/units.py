@@ -248,7 +248,7 @@ class _Analysis:
             ((sm.Add, sm.Min, sm.Max), lambda x: self._common(x.args, x)),
             ((sm.Mul,), self._product),
             # exp is a power in SymPy's eyes, so plain functions come first.
-            (_PLAIN_ARGUMENT, self._plain),
+            (_PLAIN_ARGUMENT, self._number_rule),
             ((sm.Pow,), self._power),
             ((sm.Abs,), lambda x: self.of(x.args[0])),
             ((sm.sign,), self._sign),
@@ -294,7 +294,7 @@ class _Analysis:
     def _power(self, e: sm.Basic) -> Dimension | None:
         base, exponent = e.args
         found = self.of(base)
-        self._require_plain(exponent, e)
+        self._require_number(exponent, e)
         if found in (ANY, dimension("1")):
             return found
         if not exponent.is_Rational:
@@ -303,11 +303,11 @@ class _Analysis:
             )
         return found ** (int(exponent) if exponent.is_Integer else float(exponent))
 
-    def _plain(self, e: sm.Basic) -> Dimension | None:
-        self._require_plain(e.args[0], e)
+    def _number_rule(self, e: sm.Basic) -> Dimension | None:
+        self._require_number(e.args[0], e)
         return dimension("1")
 
-    def _require_plain(self, arg: sm.Basic, whole: sm.Basic) -> None:
+    def _require_number(self, arg: sm.Basic, whole: sm.Basic) -> None:
         found = self.of(arg)
         if found not in (ANY, dimension("1")):
             raise UndertowError(

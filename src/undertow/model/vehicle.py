@@ -18,7 +18,7 @@ from .effects.generalised_force import GeneralisedForce
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
-from .parameter import WAYS, Parameter
+from .parameter import DIRECTIONS, Parameter
 from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit
 
@@ -175,7 +175,7 @@ class Vehicle:
         for effect in self.effects:
             yield from effect.states
             for p in effect.parameters:
-                yield from (p.name, *(f"{p.name}_{way}" for way in WAYS if p.motion is not None))
+                yield from (p.name, *(f"{p.name}_{way}" for way in DIRECTIONS if p.motion is not None))
 
     def _check_requirements(self) -> None:
         for effect in self.effects:
@@ -295,7 +295,7 @@ class Vehicle:
     @cached_property
     def composition(self) -> Composition:
         """The effects put together, symbolically."""
-        split = ((name, tuple(symbol(f"{name}_{way}") for way in WAYS)) for name in self._directional)
+        split = ((name, tuple(symbol(f"{name}_{way}") for way in DIRECTIONS)) for name in self._directional)
         return _composed(
             self.all_effects,
             self.dof_indices,
@@ -323,7 +323,7 @@ class Vehicle:
         """Parameter and direction, "forward" or "backward", of every name that a value for one may have."""
         declared = self.declared_parameters
         split = [p for p in declared.values() if p.motion is not None]
-        named = {f"{p.name}_{way}": (p, way) for p in split for way in WAYS}
+        named = {f"{p.name}_{way}": (p, way) for p in split for way in DIRECTIONS}
         return {name: side for name, side in named.items() if name not in declared}
 
     def parameter_of(self, name: str) -> Parameter | None:
@@ -343,7 +343,7 @@ class Vehicle:
 
     def values_of(self, parameter: Parameter) -> dict[str, Value]:
         """Stated value of a parameter: its "value", or "forward" and "backward"; or nothing."""
-        ways = {f"{parameter.name}_{way}": way for way in WAYS if parameter.motion is not None}
+        ways = {f"{parameter.name}_{way}": way for way in DIRECTIONS if parameter.motion is not None}
         named = {parameter.name: "value"} | ways
         return {key: self.values[name] for name, key in named.items() if name in self.values}
 

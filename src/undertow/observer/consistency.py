@@ -44,7 +44,7 @@ class Normalised:
     count: int  # squares that it is taken of
 
     @property
-    def honest(self) -> bool:
+    def consistent(self) -> bool:
         """Whether the mean is within the bounds."""
         return self.low <= self.mean <= self.high
 

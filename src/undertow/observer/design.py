@@ -28,8 +28,8 @@ from .filters import (
     Updated,
     added_noise,
     corrected,
-    moved_point,
     predicted,
+    propagated_point,
     reported_point,
 )
 from .process import AT_REST, Kind, Process, process_of
@@ -47,7 +47,7 @@ class DesignSettings:
     # Time between reports, s, that come with every sample, where no sampling interval is at hand.
     sample: float = 0.01
     # Samples that a report in a loop is late at most: each sample does all of them again.
-    most_kept: int = 500
+    max_past_steps: int = 500
 
 
 SETTINGS = DesignSettings()
@@ -83,7 +83,7 @@ class Numbers(NamedTuple):
     gate: ca.SX
 
 
-class Numbered(NamedTuple):
+class ParametrisedFunctions(NamedTuple):
     """The functions of an observer by name, with its numbers p as an input, and the values of p by name.
 
     An extended filter has `predict` and one for each sensor, an unscented one what happens at one point.
@@ -128,11 +128,11 @@ class Design:
             If they are too many.
         """
         lags = tuple(whole_samples(self.late.get(name, 0.0), dt) for name in self.sensors)
-        if max(lags) > SETTINGS.most_kept:
+        if max(lags) > SETTINGS.max_past_steps:
             age = max(self.late.values())
             raise UndertowError(
                 f"a report {age:g} s late is {max(lags)} samples of {dt:g} s late, and an observer in a loop "
-                f"keeps {SETTINGS.most_kept}: lengthen dt to {age / SETTINGS.most_kept:.3g} s"
+                f"keeps {SETTINGS.max_past_steps}: lengthen dt to {age / SETTINGS.max_past_steps:.3g} s"
             )
         return replace(self, lags=lags)
 
@@ -173,7 +173,7 @@ class Design:
         given = {"x": x, "P": P, "u": u, "p": p, "t": t, "y": y}
         return _function("update", given, outputs, ["xn", "Pn", "nis"])
 
-    def numbered(self) -> Numbered:
+    def parametrised(self) -> ParametrisedFunctions:
         """The same with the numbers of vehicle and observer as an input p, noise as standard deviations.
 
         A design `with_names` has those of the hardware among them.
@@ -193,9 +193,9 @@ class Design:
         named = {e.name(): v for e, v in zip(symbols, values, strict=True)}
         ages = {"ages": self._ages(numbers, p)} if self.late else {}
         if self.method == "ukf":
-            return Numbered(self._of_points(numbers, p) | ages, named)
+            return ParametrisedFunctions(self._of_points(numbers, p) | ages, named)
         updates = {f"with_{name}": self._updating(k, numbers, p) for k, name in enumerate(self.sensors)}
-        return Numbered({"predict": self._prediction(numbers, p)} | updates | ages, named)
+        return ParametrisedFunctions({"predict": self._prediction(numbers, p)} | updates | ages, named)
 
     def with_names(self) -> Design:
         """The same for code that others use: see `Functions`."""
@@ -211,7 +211,7 @@ class Design:
         """What an unscented filter has besides its points: a motion, its noise, and the reports."""
         x, _, u, t = self._symbols
         dt, given = ca.SX.sym("dt"), {"x": x, "u": u, "p": p, "t": t}
-        moved = moved_point(self.process)(x, u, numbers.vehicle, t, dt)
+        moved = propagated_point(self.process)(x, u, numbers.vehicle, t, dt)
         added = added_noise(self.process, x, u, numbers.vehicle, numbers.densities, t, dt)
         reports = {
             f"reported_{name}": _function(
@@ -254,7 +254,7 @@ class Design:
     # begun. As in the C of an observer, a late report is used at the step when it was true, and what followed
     # is done again.
     @property
-    def kept(self) -> int:
+    def past_steps(self) -> int:
         """Steps of the past that are kept."""
         return max(self.lags, default=0)
 
@@ -272,7 +272,7 @@ class Design:
     @property
     def cuts(self) -> list[int]:
         """Where z, z of the oldest step, the steps and the times begin, and where all of it ends."""
-        past = self.z_size if self.kept else 0, self.kept * self.step_size
+        past = self.z_size if self.past_steps else 0, self.past_steps * self.step_size
         return [0, *accumulate((self.z_size, *past, len(self.channels)))]
 
     @property
@@ -285,7 +285,7 @@ class Design:
         mean = np.array([near.get(name, 0.0) for name in self.process.state_names])
         P = AT_REST.covariance(self.process)
         z = np.concatenate([mean, P[np.triu_indices(len(mean))]])
-        past = [z, np.zeros(self.kept * self.step_size)] if self.kept else []
+        past = [z, np.zeros(self.past_steps * self.step_size)] if self.past_steps else []
         return np.concatenate([z, *past, self.period])
 
     @cached_property
@@ -298,11 +298,11 @@ class Design:
         )
 
     @cached_property
-    def again(self) -> ca.Function:
+    def replayed(self) -> ca.Function:
         """`zn = again(z, step, dt)`: a step of the past, its reports and then its commands."""
         z, step, dt = ca.SX.sym("z", self.z_size), ca.SX.sym("step", self.step_size), ca.SX.sym("dt")
         _, _, _, begun = self._parts_of(step)
-        new = self.ahead(self.corrected(z, step), step, dt)
+        new = self.predicted_z(self.corrected(z, step), step, dt)
         kept = ca.densify(ca.cse(ca.if_else(begun, new, z)))
         return ca.Function("again", [z, step, dt], [kept], ["z", "step", "dt"], ["zn"])
 
@@ -316,7 +316,7 @@ class Design:
             x, P = got.x, got.P
         return _packed(x, P)
 
-    def ahead(self, z: ca.SX, step: ca.SX, dt: ca.SX) -> ca.SX:
+    def predicted_z(self, z: ca.SX, step: ca.SX, dt: ca.SX) -> ca.SX:
         """z after the commands of a step."""
         return _packed(*self.predict(*self._unpacked(z), self._parts_of(step)[0], ca.SX(0), dt))
 

@@ -75,7 +75,7 @@ class Reports:
             )
 
     @property
-    def there(self) -> Flags:
+    def present(self) -> Flags:
         """Which reports there are, shape (n, m)."""
         return np.isfinite(self.y)
 
@@ -167,9 +167,9 @@ def predicted(
     """State and covariance after dt, and the covariance of the state before with it."""
     if method == "ukf":
         before = sigma_points(x, P)
-        after = at_points(moved_point(process), before, u, p, t, dt)
-        new, spread = gathered(after)
-        grown, cross = covariance(spread, spread), covariance(gathered(before)[1], spread)
+        after = at_points(propagated_point(process), before, u, p, t, dt)
+        new, spread = mean_and_deviations(after)
+        grown, cross = covariance(spread, spread), covariance(mean_and_deviations(before)[1], spread)
     else:
         new, phi = propagate(process, x, u, p, t, dt)
         cross = P @ phi.T
@@ -206,7 +206,7 @@ def corrected(
     if method == "ukf":
         points = sigma_points(x, P)
         seen = at_points(reported_point(process, channel), points, u, p, t)
-        return weighed(x, points, seen, y, r, there, gate, wraps=bool(process.angles[channel]))
+        return updated_by_points(x, points, seen, y, r, there, gate, wraps=bool(process.angles[channel]))
     _, _, seen, slopes = process.system(x, u, p, t)
     h = slopes[channel, :]
     error = y - seen[channel]
@@ -237,7 +237,7 @@ def at_points(function: ca.Function, points: ca.SX, *given: ca.SX) -> ca.SX:
     return ca.vertcat(*[function(points[i, :], *given).T for i in range(points.size1())])
 
 
-def gathered(points: ca.SX) -> tuple[ca.SX, ca.SX]:
+def mean_and_deviations(points: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Mean of points, shape (k, 1), and their deviations from it, shape (2 n + 1, k)."""
     n = points.size1() // 2
     centre, share, _ = SETTINGS.weights(n)
@@ -253,7 +253,7 @@ def covariance(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 @lru_cache(maxsize=8)
-def moved_point(process: Process) -> ca.Function:
+def propagated_point(process: Process) -> ca.Function:
     """`xn = moved(x, u, p, t, dt)`: one state after dt."""
     given, dt = (process.x, process.u, process.p, process.t), ca.SX.sym("dt")
     new = propagate(process, *given, dt)[0]
@@ -268,11 +268,11 @@ def reported_point(process: Process, channel: int) -> ca.Function:
     return ca.Function("reported", given, [seen], ["x", "u", "p", "t"], ["z"])
 
 
-def weighed(
+def updated_by_points(
     x: ca.SX, points: ca.SX, seen: ca.SX, y: ca.SX, r: ca.SX, there: ca.SX, gate: ca.SX, *, wraps: bool
 ) -> Updated:
     """State after one report (an angle if it wraps), given the sigma points and what is seen at them."""
-    centre, off = gathered(seen)
+    centre, off = mean_and_deviations(seen)
     error = wrapped(y - centre) if wraps else y - centre
     variance = covariance(off, off) + r
     used = there * (error**2 <= gate * variance)
@@ -323,7 +323,7 @@ class Observer:
             If the state is no finite number any more.
         """
         row = _row_of(self.process, method, self._compiled and method == "ekf")
-        found = self._passed(row, reports, np.asarray(mean, float), np.asarray(covariance, float), progress)
+        found = self._run_rows(row, reports, np.asarray(mean, float), np.asarray(covariance, float), progress)
         lost = ~np.isfinite(found.mean).all(axis=1)
         if lost.any():
             when = reports.t[int(np.argmax(lost))]
@@ -331,15 +331,17 @@ class Observer:
                 f"the estimate of '{self.process.vehicle.name}' diverges at t = {when:g} s: look for wrong "
                 "units or commands (undertow doctor), or estimate with kinematics (--process kinematics)"
             )
-        there = reports.there
+        there = reports.present
         innovation, variance = (np.where(there, a, np.nan) for a in (found.innovation, found.variance))
         return replace(found, innovation=innovation, variance=variance)
 
-    def _passed(self, row: ca.Function, reports: Reports, x: Array, P: Array, progress: Progress) -> Estimate:
+    def _run_rows(
+        self, row: ca.Function, reports: Reports, x: Array, P: Array, progress: Progress
+    ) -> Estimate:
         n, total = len(x), len(reports.t)
         blocks = []
         steps = np.diff(reports.t, prepend=reports.t[0])
-        y, there = np.nan_to_num(reports.y), reports.there.astype(float)
+        y, there = np.nan_to_num(reports.y), reports.present.astype(float)
         # Commands act on the way to a row: those that were held from the row before.
         u = np.vstack([reports.u[:1], reports.u[:-1]])
         for begin in range(0, total, SETTINGS.rows_per_call):
@@ -347,7 +349,7 @@ class Observer:
             count = rows.stop - rows.start
             given = [u[rows].T, self.process.values, self.densities, reports.t[rows][None], steps[rows][None]]
             given += [y[rows].T, reports.variance, there[rows].T]
-            found = [np.asarray(o) for o in _rolled(row, count)(x, P, *given)]
+            found = [np.asarray(o) for o in _mapped_rows(row, count)(x, P, *given)]
             blocks.append([o.reshape(len(o), count, -1).transpose(1, 0, 2) for o in found])
             x, P = blocks[-1][0][-1, :, 0], blocks[-1][1][-1]
             progress(rows.stop / total, "filtering")
@@ -391,7 +393,7 @@ def _row_of(process: Process, method: Method, compiled: bool) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
-def _rolled(row: ca.Function, count: int) -> ca.Function:
+def _mapped_rows(row: ca.Function, count: int) -> ca.Function:
     """The rows one after the other in one call; state and covariance are carried on."""
     return row.mapaccum(f"rows_{count}", count, 2)
 

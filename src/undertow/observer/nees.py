@@ -106,7 +106,7 @@ def _part(found: Estimate, truth: Truth, states: tuple[str, ...]) -> _Part | Non
     own, columns = ([names.index(n) for n in states] for names in (found.names, truth.names))
     there: Flags = np.asarray(np.isfinite(truth.values[:, columns]).all(axis=1))
     there[: _first_row(found)] = False
-    rows = _spread_out(np.flatnonzero(there))
+    rows = _evenly_spaced(np.flatnonzero(there))
     if len(rows) < SETTINGS.fewest_rows:
         return None
     error = found.mean[rows][:, own] - truth.values[rows][:, columns]
@@ -125,7 +125,7 @@ def _first_row(found: Estimate) -> int:
     return int(np.argmax((counts[:, many] >= TESTS.burn_in).all(axis=1))) if many.any() else 0
 
 
-def _spread_out(rows: Index) -> Index:
+def _evenly_spaced(rows: Index) -> Index:
     """As many of them as are taken, evenly."""
     if len(rows) <= SETTINGS.most_rows:
         return rows
@@ -138,7 +138,7 @@ def _variance(found: Estimate, rows: Index, own: Sequence[int], white: Array) ->
     Of Gaussian e_j and e_k whitened by L_j and L_k it is the sum of 2 |L_j E[e_j e_k'] L_k'|^2.
     """
     total = 2.0 * len(rows) * len(own)
-    covariance, back = found.covariance[rows], _back(found, rows)
+    covariance, back = found.covariance[rows], _backward_gains(found, rows)
     reach = np.broadcast_to(np.eye(covariance.shape[1]), covariance.shape)
     for lag in range(1, len(rows)):
         reach = reach[:-1] @ back[lag - 1 :]
@@ -148,7 +148,7 @@ def _variance(found: Estimate, rows: Index, own: Sequence[int], white: Array) ->
     return total
 
 
-def _back(found: Estimate, rows: Index) -> Array:
+def _backward_gains(found: Estimate, rows: Index) -> Array:
     """Products of the smoother's gains from each of the rows to the next, shape (len(rows) - 1, nx, nx)."""
     gains = smoother_gains(found)
     products = []

@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from undertow.codegen.manifest import Entry
-from undertow.codegen.spelling import Dialect, Part, comment, filled, identifier, slug
+from undertow.codegen.spelling import Dialect, Part, comment, fill, identifier, slug
 from undertow.model.symbols import MOTION_UNITS
 
 from .design import SETTINGS as DESIGN
@@ -101,7 +101,7 @@ def observer_c(design: Design, c: Dialect) -> Part:
 
 def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
     """Lines of header and source."""
-    process, numbered = design.process, design.numbered()
+    process, numbered = design.process, design.parametrised()
     name, n, real = _name(design, c), process.x.numel(), c.real
     spread = np.sqrt(np.diagonal(AT_REST.covariance(process)))
     first = {f"initial_{s}": float(v) for s, v in zip(process.state_names, spread, strict=True)}
@@ -121,7 +121,7 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
     declared = [
         _WORDS,
         f"enum {{ {u}_NX = {n}, {u}_NU = {len(process.vehicle.command_names)} }};\n",
-        struct.declared,
+        struct.declarations,
         "/* Switched on at rest at an unknown place; set what is known of x before the first update. */",
         f"{start};\n",
         f"/* From t to t + dt, s; keep dt below {longest_step(process):.2g} s, by several calls if need be;\n"
@@ -132,15 +132,17 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
         *(f"{update.format(sensor)};" for sensor in design.sensors),
         "",
     ]
-    bodies = [c.body(f, f"{name}_{k}", given, static=k != "predict") for k, f in numbered.functions.items()]
+    bodies = [
+        c.definition(f, f"{name}_{k}", given, static=k != "predict") for k, f in numbered.functions.items()
+    ]
     fields = _fields(name, n, c)
     if design.method == "ukf":
         template = (files("undertow.observer") / "unscented.c").read_text(encoding="utf-8")
-        bodies.append(filled(template, fields))
+        bodies.append(fill(template, fields))
     for sensor in design.sensors:
         fields |= {"SENSOR": sensor, "ANGLE": int(process.angles[process.channels.index(sensor)])}
-        bodies.append(f"{update.format(sensor)} {{\n{filled(_UPDATES[design.method], fields)}}}\n")
-    defined = [struct.defined, _start(start, struct.members[-n:], c), *bodies]
+        bodies.append(f"{update.format(sensor)} {{\n{fill(_UPDATES[design.method], fields)}}}\n")
+    defined = [struct.definitions, _start(start, struct.members[-n:], c), *bodies]
     kept = _kept(design, fields) if design.late else ([], [])
     return declared + kept[0], defined + kept[1]
 
@@ -157,13 +159,13 @@ def _kept(design: Design, fields: dict[str, object]) -> tuple[list[str], list[st
     each = [own | {"PLACE": i, "SENSOR": name} for i, name in enumerate(design.sensors)]
     template = (files("undertow.observer") / "late.c").read_text(encoding="utf-8")
     declared, defined = (
-        [filled(_LATE, own)],
-        [filled(template, own | {"UPDATES": "\n".join(filled(_REPORTED, one) for one in each)})],
+        [fill(_LATE, own)],
+        [fill(template, own | {"UPDATES": "\n".join(fill(_REPORTED, one) for one in each)})],
     )
     for one in each:
-        head = filled(_HEAD, one)
+        head = fill(_HEAD, one)
         declared.append(f"{head};")
-        defined.append(f"{head} {{\n{filled(_REPORT, one)}}}\n")
+        defined.append(f"{head} {{\n{fill(_REPORT, one)}}}\n")
     return [*declared, ""], defined
 
 

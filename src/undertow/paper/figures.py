@@ -26,15 +26,15 @@ class _Plan(NamedTuple):
     cases: tuple[int, ...]
     velocity: bool
     acceleration: bool
-    together: bool = False
+    in_one_figure: bool = False
 
 
 _PLANS = (
     _Plan(6, "filtered velocity, cases 1 to 5", (1, 2, 3, 4, 5), True, False),
     _Plan(7, "filtered acceleration, cases 1 to 5", (1, 2, 3, 4, 5), False, True),
-    _Plan(8, "case 3 of each run", (3,), True, True, together=True),
+    _Plan(8, "case 3 of each run", (3,), True, True, in_one_figure=True),
     _Plan(9, "acceleration filtered twice, cases 6 to 9", (6, 7, 8, 9), False, True),
-    _Plan(10, "case 8 of each run", (8,), False, True, together=True),
+    _Plan(10, "case 8 of each run", (8,), False, True, in_one_figure=True),
     _Plan(11, "velocity by the Savitzky-Golay method, and as logged", (1, 10), True, False),
     _Plan(12, "acceleration by the Savitzky-Golay method, cases 10 and 11", (10, 11), False, True),
 )
@@ -44,7 +44,7 @@ def figures(experiments: Sequence[Experiment], edges: Edges) -> dict[str, Figure
     """The pictures by file name, those of several motions with the motion in it."""
     several = len(experiments) > 1
     return {
-        f"{str(e.axis).replace(', ', '-') + '-' if several else ''}figure-{plan.number}": _drawn(
+        f"{str(e.axis).replace(', ', '-') + '-' if several else ''}figure-{plan.number}": _figure(
             e, plan, edges
         )
         for e in experiments
@@ -52,10 +52,12 @@ def figures(experiments: Sequence[Experiment], edges: Edges) -> dict[str, Figure
     }
 
 
-def _drawn(experiment: Experiment, plan: _Plan, edges: Edges) -> Figure:
+def _figure(experiment: Experiment, plan: _Plan, edges: Edges) -> Figure:
     runs = experiment.runs[:_MOST_RUNS]
     kinds = [k for k, wanted in (("velocity", plan.velocity), ("acceleration", plan.acceleration)) if wanted]
-    panels = [(kind, group) for kind in kinds for group in ([runs] if plan.together else [[r] for r in runs])]
+    panels = [
+        (kind, group) for kind in kinds for group in ([runs] if plan.in_one_figure else [[r] for r in runs])
+    ]
     with look():
         picture, axes = figure(1.2 + 2.4 * len(panels), len(panels), sharex=True)
         for axis, (kind, group) in zip(axes[:, 0], panels, strict=True):
@@ -72,14 +74,14 @@ def _panel(
     lines = [(run, case) for run in runs for case in plan.cases]
     for i, (run, case) in enumerate(lines):
         t, *signals = experiment.regression.signals(run, CASES[str(case)], edges)
-        words = f"{run.name}, {run.t.size} samples" if plan.together else f"case {case}"
+        words = f"{run.name}, {run.t.size} samples" if plan.in_one_figure else f"case {case}"
         colour = COLOURS[i % len(COLOURS)]
         axis.plot(t, signals[kind == "acceleration"], color=colour, label=plain(words), linewidth=1.1)
     unit = VELOCITY_UNITS[experiment.axis.place]
     name = experiment.axis.velocity
     label = f"{name} [{unit_text(unit)}]" if kind == "velocity" else f"d{name}/dt [{unit_text(unit + '^2')}]"
     axis.set_ylabel(label)
-    if not plan.together:
+    if not plan.in_one_figure:
         axis.set_title(plain(f"{runs[0].name}, {runs[0].t.size} samples"))
     axis.grid()
     axis.legend(loc="best")

@@ -114,7 +114,7 @@ def estimate(experiment: Experiment, case: Case, edges: Edges = "interp") -> Est
     """Estimates of one motion after one case of smoothing."""
     triangle = TriangularFactor(len(experiment.regression.free))
     for run in experiment.runs:
-        experiment.regression.take(triangle, run, case, edges)
+        experiment.regression.add_run(triangle, run, case, edges)
     return estimated_by(experiment, case, triangle)
 
 
@@ -123,7 +123,7 @@ def estimated_by(experiment: Experiment, case: Case, triangle: TriangularFactor)
     regression = experiment.regression
     H, target = triangle.split()
     size = np.linalg.norm(H, axis=0)
-    _enough(experiment.axis, regression.free, H, triangle.count, case)
+    _check_samples(experiment.axis, regression.free, H, triangle.count, case)
     scaled = H / size
     condition = float(np.linalg.cond(scaled))
     if condition > _CONDITION:
@@ -149,7 +149,7 @@ def estimated_by(experiment: Experiment, case: Case, triangle: TriangularFactor)
     )
 
 
-def _enough(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> None:
+def _check_samples(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> None:
     silent = [n for n, column in zip(names, H.T, strict=True) if not column.any()]
     if silent:
         raise UndertowError(
@@ -220,11 +220,11 @@ def combined(stated: Vehicle, found: Sequence[tuple[Experiment, Estimation]]) ->
     weights = np.array([[float(label == n) for label in labels] for n in names]) / np.diag(covariance)
     weights /= weights.sum(axis=1, keepdims=True)
     axes = [str(e.axis) for e, estimation in found for _ in estimation.names]
-    contradictions = [line for n in names if (line := _apart(n, labels, axes, theta, covariance))]
+    contradictions = [line for n in names if (line := _contradictions(n, labels, axes, theta, covariance))]
     return CombinedEstimates(names, weights @ theta, weights @ covariance @ weights.T, tuple(contradictions))
 
 
-def _apart(
+def _contradictions(
     name: str, labels: Sequence[str], axes: Sequence[str], theta: Array, covariance: Array
 ) -> str | None:
     places = [i for i, label in enumerate(labels) if label == name]
@@ -265,7 +265,7 @@ def estimate_streaming(
     that the answer is that of the log in one piece. (The median step of a part defines what a gap is.)
     """
     overlap = _overlap(cases, edges)
-    seen = [_outlined(log, max(rows, 2 * overlap), progress) for log in logs]
+    seen = [_outline(log, max(rows, 2 * overlap), progress) for log in logs]
     found = experiments(vehicle, seen, trust_log=True)  # outlines only: each part is looked at
     reduced = [{c.name: TriangularFactor(len(e.regression.free)) for c in cases} for e in found]
     for k, (log, outlined) in enumerate(zip(logs, seen, strict=True)):
@@ -279,14 +279,14 @@ def estimate_streaming(
 
 
 def _refuse_clock(experiment: Experiment) -> None:
-    if experiment.regression.feels_time:
+    if experiment.regression.depends_on_time:
         raise NeedsWhole(
             f"the {experiment.axis.motion} of '{experiment.axis.vehicle.name}' depends on the time itself, "
             "which parts of a log do not share: leave out --stream"
         )
 
 
-def _outlined(log: LongLog, rows: int, progress: Progress) -> Run:
+def _outline(log: LongLog, rows: int, progress: Progress) -> Run:
     progress(0.0, f"looking through {log.path.name}")
     parts = (part.run for part in log.parts(rows, 0))
     first = next(parts, None)
@@ -314,7 +314,7 @@ def _reduce(
         following = next(parts, None)
         until = np.inf if following is None else part.border
         for case in cases:
-            experiment.regression.take_between(triangles[case.name], part.run, case, edges, after, until)
+            experiment.regression.add_part(triangles[case.name], part.run, case, edges, after, until)
         after, part = until, following
 
 
@@ -364,10 +364,7 @@ class Identified:
             "command": f"undertow identify --method sg-ls --edges {self.edges} ({cases})",
             "date": date.today().isoformat(),
             "logs": [{"name": r.name, "sha256": r.sha256, "role": "train"} for r in runs],
-            "covariance": {
-                "parameters": list(self.chosen.names),
-                "matrix": self.chosen.covariance.tolist(),
-            },
+            "covariance": {"parameters": list(self.chosen.names), "matrix": self.chosen.covariance.tolist()},
         }
         save_vehicle(self.chosen.vehicle(self.stated), template, out, history=history)
 

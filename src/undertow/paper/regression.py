@@ -253,31 +253,31 @@ class Regression:
         self._fit = LinearFit(self.functions, self.free)
         self._places = [self.functions.parameter_names.index(n) for n in self.free]
 
-    def take(self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges) -> None:
+    def add_run(self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges) -> None:
         """Take in a run whose velocity and acceleration are smoothed as a case says."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
-            raise UndertowError(self._short(run, case, edges))
-        self._take(triangle, run, pieces, case, edges)
+            raise UndertowError(self._too_short(run, case, edges))
+        self._add_samples(triangle, run, pieces, case, edges)
 
-    def take_between(
+    def add_part(
         self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges, after: float, until: float
     ) -> None:
         """The same of a part of a log, which may have no segment that is long enough: after < t <= until."""
-        self._take(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
+        self._add_samples(triangle, run, self._pieces(run, case, edges), case, edges, after, until)
 
     def signals(self, run: Run, case: Case, edges: Edges) -> tuple[Array, Array, Array]:
         """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between segments."""
         pieces = self._pieces(run, case, edges)
         if not pieces:
-            raise UndertowError(self._short(run, case, edges))
+            raise UndertowError(self._too_short(run, case, edges))
         names = ("t", self.axis.velocity, self.axis.rate)
         found = [self._samples(run, piece, case, edges) for piece in pieces]
         columns = ([np.append(part[name], np.nan) for part in found] for name in names)
         t, velocity, rate = (np.concatenate(column)[:-1] for column in columns)
         return t, velocity, rate
 
-    def _take(
+    def _add_samples(
         self,
         triangle: TriangularFactor,
         run: Run,
@@ -300,7 +300,7 @@ class Regression:
         logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
         step = _step(run, piece, even=case.counts_samples(logged=logged is not None))
         velocity, rate = case.smoothed(run.channels[self.axis.velocity][piece], logged, step, edges)
-        pose = {self._pose: run.channels[self._pose][piece]} if self._feels_pose else {}
+        pose = {self._pose: run.channels[self._pose][piece]} if self._depends_on_pose else {}
         commands = {name: run.channels[name][piece] for name in self.axis.vehicle.command_names}
         # A model may do without one of them; a sample counts only if both are known.
         used = np.isfinite(velocity) & np.isfinite(rate)
@@ -312,7 +312,7 @@ class Regression:
 
     def _pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
         """Stretches without gaps that are long enough for the filters."""
-        if self._feels_pose and not run.has(self._pose):
+        if self._depends_on_pose and not run.has(self._pose):
             raise UndertowError(
                 f"run '{run.name}' has no channel '{self._pose}', which the {self.axis.motion} of "
                 f"'{self.axis.vehicle.name}' depends on: name its column in a mapping file (--map)"
@@ -322,10 +322,10 @@ class Regression:
 
     def _needed(self, run: Run, case: Case) -> list[str]:
         names = [self.axis.velocity, *self.axis.vehicle.command_names]
-        names += [self._pose] if self._feels_pose else []
+        names += [self._pose] if self._depends_on_pose else []
         return names + ([self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else [])
 
-    def _short(self, run: Run, case: Case, edges: Edges) -> str:
+    def _too_short(self, run: Run, case: Case, edges: Edges) -> str:
         return (
             f"run '{run.name}': no stretch without gaps in {', '.join(self._needed(run, case))} has the "
             f"{case.needs(edges)} samples that case {case.name} needs: fill the gaps, or choose other cases "
@@ -333,7 +333,7 @@ class Regression:
         )
 
     @property
-    def feels_time(self) -> bool:
+    def depends_on_time(self) -> bool:
         """Whether the equations contain the time itself."""
         return bool(ca.depends_on(self.functions.driven_residual, self.functions.t))
 
@@ -342,11 +342,11 @@ class Regression:
         return self.axis.vehicle.pose_names[0]
 
     @cached_property
-    def _feels_pose(self) -> bool:
+    def _depends_on_pose(self) -> bool:
         return bool(ca.depends_on(self.functions.driven_residual, self.functions.eta))
 
     @property
-    def _still(self) -> Array:
+    def _at_zero(self) -> Array:
         """Parameters with those that are sought at zero."""
         p = np.array(self.functions.values(), dtype=float)
         p[self._places] = 0.0
@@ -354,7 +354,7 @@ class Regression:
 
     def inertia(self, theta: Array, covariance: Array) -> tuple[float, float]:
         """Mass with added mass and its standard error at an estimate."""
-        p = self._still
+        p = self._at_zero
         p[self._places] = theta
         value, slope = (np.asarray(v, dtype=float) for v in self._mass(p))
         slope = slope[0, self._places]
@@ -433,7 +433,7 @@ class LinearFit:
         vehicle = functions.vehicle
         rates = (f"{n}_dot" for n in vehicle.velocity_names)
         inputs = (*functions.state_names, *rates, *vehicle.command_names, "t")
-        self.needed = tuple(inputs[i] for i in rows.needed)
+        self.used_inputs = tuple(inputs[i] for i in rows.used_inputs)
         self._rows = compiled_or_virtual(compiled, partial(CompiledRows, rows), partial(VirtualRows, rows))
 
     def triangle(self, samples: Mapping[str, Array]) -> tuple[Array, int]:
@@ -450,12 +450,14 @@ class LinearFit:
         return self._by_reflections(columns)
 
     def _columns(self, samples: Mapping[str, Array]) -> list[Array]:
-        missing = [n for n in self.needed if n not in samples]
+        missing = [n for n in self.used_inputs if n not in samples]
         if missing:
             raise UndertowError(f"the samples lack channel '{missing[0]}', which the rows depend on: add it")
-        columns = [np.ascontiguousarray(samples[n], dtype=float) for n in self.needed]
+        columns = [np.ascontiguousarray(samples[n], dtype=float) for n in self.used_inputs]
         if len({c.shape for c in columns}) > 1:
-            raise UndertowError(f"the columns {', '.join(self.needed)} differ in length: give equal ones")
+            raise UndertowError(
+                f"the columns {', '.join(self.used_inputs)} differ in length: give equal ones"
+            )
         return columns
 
     def _by_reflections(self, columns: list[Array]) -> tuple[Array, int]:

@@ -243,7 +243,7 @@ def equivalent(mesh: Mesh, density: float = 1000.0, form: str | None = None) -> 
         if form == "box":
             raise
         full = None
-    between, error, text = _between(round_, full, fill)
+    between, error, text = _interpolated(round_, full, fill)
     chosen = {"box": full, "ellipsoid": round_}.get(form or "", between)
     assert chosen is not None
     extents = f"{length:.4g} x {beam:.4g} x {height:.4g} m"
@@ -252,7 +252,7 @@ def equivalent(mesh: Mesh, density: float = 1000.0, form: str | None = None) -> 
     return AddedMass(chosen, source, _BODY_LIMITS, error).placed(np.eye(3), mesh.centroid)
 
 
-def _between(round_: Array, full: Array | None, fill: float) -> tuple[Array, Array, str]:
+def _interpolated(round_: Array, full: Array | None, fill: float) -> tuple[Array, Array, str]:
     """Added mass for a hull that fills so much of its bounding box, its error, and how it was found."""
     if full is None:
         stretched = round_ * max(1.0, fill / _FILL_OF_ELLIPSOID)

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array, Progress
 
 from .bodies import AddedMass
-from .first import GRAVITY
+from .hull_vehicle import GRAVITY
 from .mesh import Mesh, load_capytaine
 from .panels import UP, panels, radiated, solved
 
@@ -40,7 +40,7 @@ _SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # of forces, between body
 
 
 @dataclass(frozen=True)
-class Afloat:
+class FloatingHull:
     """A hull that floats, about an origin in the waterline above its centre of volume; body axes.
 
     `at_infinity` is the added mass at infinite frequency; `added` and `damping`, shape (n, 6, 6), are those
@@ -179,7 +179,7 @@ class FloatingBody:
                 "gravity with --cg 0,0,Z (below the waterline)"
             )
 
-    def radiation(self, report: Progress = lambda done, words: None) -> Afloat:
+    def radiation(self, report: Progress = lambda done, words: None) -> FloatingHull:
         """Added mass and radiation damping at all frequencies and at an infinite one."""
         report(0.0, "panels, and a table of waves (made once)")
         coarse = self._radiated(self._of(self._coarse, (0.0, 0.0, 0.0)), np.inf).real
@@ -195,7 +195,7 @@ class FloatingBody:
         limits = "ideal fluid, small motions in a calm sea, no speed ahead"
         at_infinity = AddedMass(fine, source, limits, np.abs(fine - coarse))
         together = np.array(found)
-        return Afloat(
+        return FloatingHull(
             self.origin,
             self.draught,
             float(np.ptp(self._fine.vertices[:, 0])),

@@ -117,7 +117,7 @@ class Mesh:
         half = (high - low) / 2
         places = low + half + half * np.sin(angles)
         weights = np.cos(angles)
-        found = [_covered(*self._cut(along, across, place)) for place in places]
+        found = [_union_length(*self._cut(along, across, place)) for place in places]
         return np.array(found), weights / weights.sum() * (high - low)
 
     def projected_area(self, axis: int) -> float:
@@ -134,17 +134,14 @@ class Mesh:
         crossed = (x < place) != (x_next < place)
         share = np.where(crossed, (place - x) / np.where(crossed, x_next - x, 1.0), 0.0)
         points = y + share * (y_next - y)
-        return (
-            np.where(crossed, points, np.inf).min(axis=1),
-            np.where(crossed, points, -np.inf).max(axis=1),
-        )
+        return (np.where(crossed, points, np.inf).min(axis=1), np.where(crossed, points, -np.inf).max(axis=1))
 
     def moved(self, by: ArrayLike) -> Mesh:
         """The same hull elsewhere."""
         return Mesh(self.vertices + np.asarray(by, dtype=float), self.faces)
 
 
-def _covered(begins: Array, ends: Array) -> float:
+def _union_length(begins: Array, ends: Array) -> float:
     """Length of the union of intervals."""
     order = np.argsort(begins)
     begins, ends = begins[order], ends[order]
@@ -152,9 +149,9 @@ def _covered(begins: Array, ends: Array) -> float:
     return float(np.maximum(ends - np.maximum(begins, reached), 0.0).sum())
 
 
-def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
+def repaired(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     """One closed body whose triangles all look outward, and what was done for it."""
-    joined = _joined(mesh)
+    joined = _merged(mesh)
     if not len(joined.faces):
         raise UndertowError(f"{name}: every triangle has no area: export the surface of the hull as STL")
     pairs = _neighbours(joined, name)
@@ -169,7 +166,7 @@ def mended(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     return even[0], tuple(remarks)
 
 
-def _joined(mesh: Mesh) -> Mesh:
+def _merged(mesh: Mesh) -> Mesh:
     """Equal corners as one vertex, without triangles that have no area or stand there twice."""
     size = float(mesh.extents.max()) or 1.0
     _, first, place = np.unique(
@@ -306,7 +303,7 @@ def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") 
         raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull again")
     scaled = vertices * (1.0 if unit is None else _metres(unit))
     _check_size(path, scaled, unit)
-    return Hull(*mended(Mesh(scaled @ _rotation(frame).T, faces), str(path)))
+    return Hull(*repaired(Mesh(scaled @ _rotation(frame).T, faces), str(path)))
 
 
 def _metres(unit: str) -> float:
@@ -509,7 +506,7 @@ def _simplified(mesh: Mesh, count: int) -> Mesh:
     """At most some `count` triangles, by the collapse of edges that changes the surface least."""
     package = load_igl(f"a hull of {len(mesh.faces)} triangles has to be simplified, which")
     points, faces, *_ = package.qslim(mesh.vertices - mesh.centroid, mesh.faces, count)
-    found, _ = mended(
+    found, _ = repaired(
         Mesh(np.asarray(points, dtype=float), np.asarray(faces, dtype=np.int64)),
         f"the hull simplified to {len(faces)} triangles",
     )

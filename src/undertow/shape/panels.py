@@ -40,11 +40,11 @@ def panels(mesh: Mesh, finest: int, crease: float = PANEL_RULES.crease) -> tuple
     """
     coarse = base_mesh(mesh, finest // 16)
     smooth = mesh
-    while len(smooth.faces) < PANEL_RULES.curved and _bends(smooth, crease):
+    while len(smooth.faces) < PANEL_RULES.curved and _is_curved(smooth, crease):
         smooth = curved(smooth, crease)
-    first = _laid(coarse, smooth)
-    second = _laid(subdivided(first), smooth)
-    third = _laid(subdivided(second), smooth)
+    first = _projected(coarse, smooth)
+    second = _projected(subdivided(first), smooth)
+    third = _projected(subdivided(second), smooth)
     _check_shape(third, smooth)
     return first, second, third
 
@@ -58,14 +58,14 @@ def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
         )
 
 
-def _laid(mesh: Mesh, onto: Mesh) -> Mesh:
+def _projected(mesh: Mesh, onto: Mesh) -> Mesh:
     """The same triangles with every vertex at the nearest point of a surface."""
     package = load_igl("cutting a hull into panels")
     _, _, nearest = package.point_mesh_squared_distance(mesh.vertices, onto.vertices, onto.faces)
     return Mesh(nearest, mesh.faces)
 
 
-def _bends(mesh: Mesh, crease: float) -> bool:
+def _is_curved(mesh: Mesh, crease: float) -> bool:
     edges, of_face = each_edge(mesh)
     bulge = _bulge(mesh, edges, of_face, np.diff(mesh.vertices[edges], axis=1)[:, 0], _cosine(crease))
     return bool(np.abs(bulge).max() > 1e-9 * mesh.extents.max())

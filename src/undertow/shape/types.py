@@ -12,7 +12,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .bodies import AddedMass, box, ellipsoid, equivalent, positive
-from .first import GRAVITY, EffectTable, Hardware, HullSpec, entry_line, hull_tables, vehicle_text
+from .hull_vehicle import GRAVITY, EffectTable, Hardware, HullSpec, entry_line, hull_tables, vehicle_text
 from .mesh import Faces, Mesh
 
 
@@ -154,7 +154,7 @@ def _rov(size: MainDimensions, upright: list[tuple[float, float]]) -> Made:
             f"mass = {size.mass:g} kg sinks: a box of these dimensions displaces "
             f"{size.density * size.length * size.beam * size.height:.4g} kg at most; correct one of them"
         )
-    tables = _submerged(size, _box(size), _frame(size))
+    tables = _submerged(size, _box(size), _open_frame_added_mass(size))
     x, y, z = np.array(_RULES.vectored) * (size.length, size.beam, size.height)
     source = "assumed: places of BlueROV2, scaled to the dimensions; 45 degrees"
     level = [
@@ -187,7 +187,7 @@ def _box(size: MainDimensions) -> Mesh:
     return Mesh(corners * (size.length / 2, size.beam / 2, size.height / 2), np.array(faces))
 
 
-def _frame(size: MainDimensions) -> AddedMass:
+def _open_frame_added_mass(size: MainDimensions) -> AddedMass:
     """Added mass of an open frame: the ellipsoid in its extents, in turning half way to the box."""
     sides = (size.length, size.beam, size.height)
     half = np.array(sides) / 2
@@ -356,7 +356,7 @@ def _surface(name: str, place: float, direction: tuple[float, float, float]) -> 
 # --- ships ----------------------------------------------------------------------------------------
 def _ship(size: MainDimensions) -> Made:
     slender = size.length >= _RULES.slender * size.beam
-    tables = _afloat(size, _ship_hull(size) if slender else _small_hull(size))
+    tables = _surface_craft(size, _ship_hull(size) if slender else _small_hull(size))
     area = size.length * size.height / 100 * (1 + 25 * (size.beam / size.length) ** 2)
     slope = 6.13 * _RULES.rudder_aspect / (_RULES.rudder_aspect + 2.25)
     force = size.density / 2 * area * slope
@@ -396,7 +396,7 @@ def _asv(size: MainDimensions) -> Made:
         for name, side in (("port", -1.0), ("starboard", 1.0))
     ]
     about = "A surface craft that steers by two propellers; commands are thrusts in N."
-    return about, _SHIP, _afloat(size, _small_hull(size), _RULES.block_of_two), hardware
+    return about, _SHIP, _surface_craft(size, _small_hull(size), _RULES.block_of_two), hardware
 
 
 def _azimuth(size: MainDimensions) -> Made:
@@ -411,17 +411,17 @@ def _azimuth(size: MainDimensions) -> Made:
         "starboard in N. Of a log with thrust and angle: bow_x = 'bow_thrust * cos(bow_angle)' and bow_y = "
         "'bow_thrust * sin(bow_angle)' under [channels] of the mapping file."
     )
-    return about, _SHIP, _afloat(size, _small_hull(size), _RULES.block_of_two), hardware
+    return about, _SHIP, _surface_craft(size, _small_hull(size), _RULES.block_of_two), hardware
 
 
-def _afloat(
+def _surface_craft(
     size: MainDimensions, hull: list[EffectTable], low: float = _RULES.block[0], high: float = _RULES.block[1]
 ) -> list[EffectTable]:
     """Tables of a surface craft: body, resistance and cross-flow, and what is its hull's own.
 
     `low`, `high`: block coefficients that it may have.
     """
-    block = _block(size)
+    block = _block_coefficient(size)
     if not low <= block <= high:
         raise UndertowError(
             f"mass = {size.mass:g} kg is a block coefficient of {block:.3g} (possible: {low:g} to {high:g}): "
@@ -443,7 +443,7 @@ def _afloat(
     ]
 
 
-def _block(size: MainDimensions) -> float:
+def _block_coefficient(size: MainDimensions) -> float:
     return size.displaced / (size.length * size.beam * size.height)
 
 
@@ -470,7 +470,7 @@ def _small_hull(size: MainDimensions) -> list[EffectTable]:
 
 
 def _ship_hull(size: MainDimensions) -> list[EffectTable]:
-    clarke, share = _clarke(size, _block(size)), _RULES.regression
+    clarke, share = _clarke(size, _block_coefficient(size)), _RULES.regression
     added = {"Y_vdot": (clarke["Y_vdot"], "kg"), "N_rdot": (clarke["N_rdot"], "kg m^2")}
     coupling = {"Y_rdot": (clarke["Y_rdot"], "kg m")}
     return [

@@ -17,7 +17,7 @@ from undertow.errors import UndertowError
 from undertow.files import make_folder, templates, together, write_whole
 from undertow.model.symbols import DOFS
 from undertow.shape.bodies import equivalent
-from undertow.shape.first import GRAVITY, drag_of_hull
+from undertow.shape.hull_vehicle import GRAVITY, drag_of_hull
 from undertow.shape.mesh import Mesh, stl_bytes
 from undertow.typing import Array
 
@@ -56,7 +56,7 @@ _ALWAYS = (
 
 
 @dataclass(frozen=True)
-class Orders:
+class TankPlan:
     """What is to be done in the tank."""
 
     mass: float  # kg
@@ -75,95 +75,93 @@ class Orders:
     span: str | None = None  # x, y or z: the hull is taken for a piece of one without ends along it
 
 
-def make_tank(hull: Mesh, orders: Orders, name: str, sha256: str) -> tuple[Tank, Mesh]:
+def make_tank(hull: Mesh, plan: TankPlan, name: str, sha256: str) -> tuple[Tank, Mesh]:
     """A tank for a hull, and the hull with its centre of volume in the origin."""
-    _check(orders)
+    _check(plan)
     centred = hull.moved(-hull.centroid)
     rules = RULES
-    sizes = _across(centred, orders)
+    sizes = _across(centred, plan)
     longest, cell = float(sizes.max()), _cell(sizes)
-    if orders.depth is not None:
-        _check_depth(orders, orders.depth, -float(centred.bounds[0][2]) + cell)
+    if plan.depth is not None:
+        _check_depth(plan, plan.depth, -float(centred.bounds[0][2]) + cell)
     level = max(1, int(np.floor(np.log2(longest / rules.background / cell) + 1e-9)))
     background = cell * 2**level
-    reach = (
-        np.abs(centred.bounds).max(axis=0) + (rules.reach if orders.span is None else rules.plane) * longest
-    )
+    reach = np.abs(centred.bounds).max(axis=0) + (rules.reach if plan.span is None else rules.plane) * longest
     half = np.ceil(reach / background) * background
-    if orders.span is not None:
-        half[_AXES.index(orders.span)] = background / 2
+    if plan.span is not None:
+        half[_AXES.index(plan.span)] = background / 2
     x, y, z = (float(r) for r in half)
     # A surface leaves no symmetry of up and down.
-    symmetric = [i for i in _symmetries(centred) if orders.depth is None or i < 2]
-    added = np.diag(equivalent(centred, orders.density).matrix)
-    form = np.array([added, drag_of_hull(centred, orders.density).coefficients])
+    symmetric = [i for i in _symmetries(centred) if plan.depth is None or i < 2]
+    added = np.diag(equivalent(centred, plan.density).matrix)
+    form = np.array([added, drag_of_hull(centred, plan.density).coefficients])
     cases = [
         case
-        for motion_name in orders.motions
-        for profile in orders.profiles
-        for case in _cases(centred, form, orders, motion_name, profile, symmetric)
+        for motion_name in plan.motions
+        for profile in plan.profiles
+        for case in _cases(centred, form, plan, motion_name, profile, symmetric)
     ]
-    if orders.depth is not None:
-        _check_waves(cases, orders.depth)
+    if plan.depth is not None:
+        _check_waves(cases, plan.depth)
     tank = Tank(
         hull=name,
         sha256=sha256,
-        mass=orders.mass,
-        density=orders.density,
-        viscosity=orders.viscosity,
+        mass=plan.mass,
+        density=plan.density,
+        viscosity=plan.viscosity,
         half=(x, y, z),
         cell=cell,
         level=level,
         size=longest,
         refinement=rules.refinement,
-        grids=orders.grids,
+        grids=plan.grids,
         symmetric=tuple(_AXES[i] for i in symmetric),  # type: ignore[misc]
-        depth=orders.depth,
-        span=orders.span,  # type: ignore[arg-type]
-        share=1.0 if orders.span is None else background / float(centred.extents[_AXES.index(orders.span)]),
+        depth=plan.depth,
+        span=plan.span,  # type: ignore[arg-type]
+        share=1.0 if plan.span is None else background / float(centred.extents[_AXES.index(plan.span)]),
         cases=tuple(cases),
     )
     return tank, centred
 
 
-def _check(orders: Orders) -> None:
+def _check(plan: TankPlan) -> None:
     numbers = {
-        "mass": (orders.mass, "kg"),
-        "speed": (orders.speed, "m/s"),
-        "density": (orders.density, "kg/m^3"),
-        "viscosity": (orders.viscosity, "m^2/s"),
-        "force": (1.0 if orders.force is None else orders.force, "N or N m"),
-        "inertia": (1.0 if orders.inertia is None else orders.inertia, "kg m^2"),
-        "time step": (orders.step, "of the usual one"),
+        "mass": (plan.mass, "kg"),
+        "speed": (plan.speed, "m/s"),
+        "density": (plan.density, "kg/m^3"),
+        "viscosity": (plan.viscosity, "m^2/s"),
+        "force": (1.0 if plan.force is None else plan.force, "N or N m"),
+        "inertia": (1.0 if plan.inertia is None else plan.inertia, "kg m^2"),
+        "time step": (plan.step, "of the usual one"),
     }
     for what, (value, unit) in numbers.items():
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(f"{what} = {value:g} {unit}: give a positive number")
-    if not 1 <= orders.grids <= 4:
-        raise UndertowError(f"--grids {orders.grids}: give 1 to 4")
-    if orders.span is not None and orders.span not in _AXES:
-        raise UndertowError(f"--span {orders.span} is not an axis: choose x, y or z")
-    wrong = [m for m in orders.motions if orders.span and not _in_plane(m, orders.span)]
+    if not 1 <= plan.grids <= 4:
+        raise UndertowError(f"--grids {plan.grids}: give 1 to 4")
+    if plan.span is not None and plan.span not in _AXES:
+        raise UndertowError(f"--span {plan.span} is not an axis: choose x, y or z")
+    wrong = [m for m in plan.motions if plan.span and not _in_plane(m, plan.span)]
     if wrong:
         raise UndertowError(
-            f"{wrong[0]} is not in the plane normal to --span {orders.span}: choose another motion"
+            f"{wrong[0]} is not in the plane normal to --span {plan.span}: choose another motion"
         )
-    if orders.prescribed and "paper" in orders.profiles:
+    if plan.prescribed and "paper" in plan.profiles:
         raise UndertowError(
             "profile paper is a series of forces: leave out --prescribed, or choose push, step or sine"
         )
 
 
-def _check_depth(orders: Orders, depth: float, least: float) -> None:
+def _check_depth(plan: TankPlan, depth: float, least: float) -> None:
     """`least`: depth at which one cell of water is left above the hull, m."""
     if not least <= depth < np.inf:
         raise UndertowError(
             f"--depth {depth:g} m: at least {least:.3g} m keep this hull and a cell above it under "
             "water: for a hull at the surface use undertow vehicle new --floating"
         )
-    rising = [m for m in orders.motions if m in ("heave", "roll", "pitch")]
-    if orders.span == "z" or (rising and set(orders.profiles) != {"push"}):
-        what = "--span z" if orders.span == "z" else f"longer {rising[0]} than a push"
+    rising = [m for m in plan.motions if m in ("heave", "roll", "pitch")]
+    if plan.span == "z" or (rising and set(plan.profiles) != {"push"}):
+        what = "--span z" if plan.span == "z" else f"longer {rising[0]} than a push"
         raise UndertowError(f"--depth: {what} would leave the water: leave it out, or leave out --depth")
 
 
@@ -182,10 +180,10 @@ def _in_plane(motion_name: str, span: str) -> bool:
     return (place % 3 == _AXES.index(span)) == (place > 2)
 
 
-def _across(hull: Mesh, orders: Orders) -> Array:
+def _across(hull: Mesh, plan: TankPlan) -> Array:
     """Sides of the hull, without the one along its span, m."""
     sides = hull.extents
-    return sides if orders.span is None else np.delete(sides, _AXES.index(orders.span))
+    return sides if plan.span is None else np.delete(sides, _AXES.index(plan.span))
 
 
 def _symmetries(hull: Mesh) -> list[int]:
@@ -196,15 +194,15 @@ def _symmetries(hull: Mesh) -> list[int]:
 
 
 def _cases(
-    hull: Mesh, form: Array, orders: Orders, name: str, profile: str, symmetric: list[int]
+    hull: Mesh, form: Array, plan: TankPlan, name: str, profile: str, symmetric: list[int]
 ) -> list[Case]:
     """A case, or two where both directions are not alike; `form` (2, 6) is added mass and drag by form."""
     turns, axis = DOFS.index(name) > 2, DOFS.index(name) % 3
     alike = any((i == axis) != turns for i in symmetric)
     both = profile in PROFILES and profile != "sine" and not alike
     label = f"{name}-{profile if profile in PROFILES else Path(profile).stem.lower()}"
-    shared = _case(hull, form, orders, name, profile)
-    shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns and _AXES[i] != orders.span)
+    shared = _case(hull, form, plan, name, profile)
+    shared["planes"] = tuple(_AXES[i] for i in symmetric if (i == axis) == turns and _AXES[i] != plan.span)
     values = np.array(shared.pop("signal"))
     return [
         Case(
@@ -217,39 +215,39 @@ def _cases(
     ]
 
 
-def _case(hull: Mesh, form: Array, orders: Orders, name: str, profile: str) -> dict[str, Any]:
+def _case(hull: Mesh, form: Array, plan: TankPlan, name: str, profile: str) -> dict[str, Any]:
     """What both directions of a case have in common: its signal, how strong it is, the time step."""
     place = DOFS.index(name)
     turns, sizes = place > 2, hull.extents
-    longest = float(_across(hull, orders).max())
+    longest = float(_across(hull, plan).max())
     arm = longest / 2 if turns else 1.0
-    rate = orders.speed / arm  # m/s or rad/s
-    scale = (longest if turns else float(sizes[place])) / orders.speed
-    times, values, peak = _signal(profile, orders.prescribed, scale)
-    inertia = orders.mass
+    rate = plan.speed / arm  # m/s or rad/s
+    scale = (longest if turns else float(sizes[place])) / plan.speed
+    times, values, peak = _signal(profile, plan.prescribed, scale)
+    inertia = plan.mass
     if turns:
-        inertia = orders.inertia or float(hull.inertia[place - 3, place - 3]) * orders.mass / hull.volume
+        inertia = plan.inertia or float(hull.inertia[place - 3, place - 3]) * plan.mass / hull.volume
     added, drag = form[:, place].tolist()
     if peak is None:
-        peak = rate if orders.prescribed else orders.force or drag * rate**2
-        if profile == "push" and not orders.prescribed and orders.force is None:
+        peak = rate if plan.prescribed else plan.force or drag * rate**2
+        if profile == "push" and not plan.prescribed and plan.force is None:
             peak = np.pi * float(inertia + added) * rate / float(times[-1])
     push = profile == "push"
-    reached = peak if orders.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
-    cell = _cell(_across(hull, orders))
+    reached = peak if plan.prescribed else max(rate, 0.0 if push else (peak / drag) ** 0.5)
+    cell = _cell(_across(hull, plan))
     step = times[-1] / RULES.push_steps if push else RULES.courant * cell / (reached * arm)
-    reynolds = reached * arm * longest / orders.viscosity
+    reynolds = reached * arm * longest / plan.viscosity
     auto = not push and reynolds > RULES.laminar_below
-    turbulent = auto if orders.turbulence == "auto" else orders.turbulence == "k-omega-sst"
+    turbulent = auto if plan.turbulence == "auto" else plan.turbulence == "k-omega-sst"
     return {
         "motion": name,
         "profile": profile if profile in PROFILES else "table",
-        "prescribed": orders.prescribed,
+        "prescribed": plan.prescribed,
         "peak": peak,
         "speed": float(reached * arm),
         "inertia": inertia,
         "end": float(times[-1]),
-        "step": float(step * orders.step),
+        "step": float(step * plan.step),
         "turbulent": turbulent,
         "layers": None if push else _layers(reynolds, longest, cell),
         "relaxation": min(RULES.relaxation, 1 / (1 + added / inertia)),

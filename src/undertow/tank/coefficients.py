@@ -17,13 +17,13 @@ from undertow.errors import UndertowError
 from undertow.files import read_toml, together, write_whole
 from undertow.identification.logs.mapping import SCHEMA
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
-from undertow.shape.first import EffectTable, entry_line, vehicle_text
+from undertow.shape.hull_vehicle import EffectTable, entry_line, vehicle_text
 from undertow.typing import Array, Flags
 
 from .settings import RULES, Case, Tank, log_of
 
 
-class TooShort(UndertowError):
+class TooLittleMotion(UndertowError):
     """Logs in which a hull hardly moved in a direction."""
 
 
@@ -101,8 +101,8 @@ def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
         two_sided = any(case.direction < 0 for case in cases)
         for direction in (1, -1) if two_sided else (0,):
             try:
-                found += _of_motion(root, tank, [c for c in cases if _tells(c, direction)], direction)
-            except TooShort as error:
+                found += _of_motion(root, tank, [c for c in cases if _informs(c, direction)], direction)
+            except TooLittleMotion as error:
                 short = error
     if short and not found:
         raise short
@@ -111,7 +111,7 @@ def coefficients(root: Path, tank: Tank) -> list[Coefficient]:
     return found
 
 
-def _tells(case: Case, direction: int) -> bool:
+def _informs(case: Case, direction: int) -> bool:
     """Whether a case says something of a direction: pushes and prescribed steps go one way only."""
     one_way = case.profile == "push" or (case.profile == "step" and case.prescribed)
     return direction * case.direction >= 0 or not one_way
@@ -189,7 +189,9 @@ def _by_balance(
         forces.append(-r.water[kept])
     table, force = np.concatenate(columns), np.concatenate(forces)
     if len(table) < _RULES.rows:
-        raise TooShort(f"{len(table)} samples are too few for damping: choose a longer profile such as step")
+        raise TooLittleMotion(
+            f"{len(table)} samples are too few for damping: choose a longer profile such as step"
+        )
     if known:
         values, errors = least_squares(table[:, 1:], force - known[0] * table[:, 0], positive=True)
         return dict(zip("dq", zip(values.tolist(), errors.tolist(), strict=True), strict=True))

@@ -35,7 +35,7 @@ _FATAL = re.compile(r"FOAM FATAL|Foam::sigFpe::sigHandler|^Floating point except
 
 
 @dataclass
-class Watch:
+class SolverMonitor:
     """Reads what the solver prints while it runs."""
 
     end: float
@@ -126,7 +126,7 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
     if not _reached(folder, case):  # it may have been cut off after the last step
         _distribute(tank, case, grid, folder, cores)
         solver = ["pimpleFoam"] if cores == 1 else ["mpirun", "-np", str(cores), "pimpleFoam", "-parallel"]
-        watch = Watch(case.end, report)
+        watch = SolverMonitor(case.end, report)
         _execute(folder, solver, watch)
         if not _reached(folder, case):
             raise UndertowError(
@@ -143,7 +143,7 @@ def _reached(folder: Path, case: Case) -> bool:
 
 
 # --- programs -------------------------------------------------------------------------------------
-def _execute(folder: Path, command: list[str], watch: Watch) -> None:
+def _execute(folder: Path, command: list[str], watch: SolverMonitor) -> None:
     """Run a program of OpenFOAM to its end, its output into a log in the folder, or stop what diverges."""
     name = next(part for part in command if part not in ("mpirun", "-np") and not part.isdigit())
     environment = {
@@ -180,7 +180,7 @@ def _execute(folder: Path, command: list[str], watch: Watch) -> None:
         raise UndertowError(_reason(folder, name, watch, process.returncode))
 
 
-def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
+def _reason(folder: Path, name: str, watch: SolverMonitor, code: int) -> str:
     """Why a program failed, in one line."""
     if name != "pimpleFoam":
         shown = _fatal(watch) or f"exit code {code}"
@@ -199,7 +199,7 @@ def _reason(folder: Path, name: str, watch: Watch, code: int) -> str:
     )
 
 
-def _fatal(watch: Watch) -> str:
+def _fatal(watch: SolverMonitor) -> str:
     """What a program of OpenFOAM said when it gave up, or nothing."""
     words = [line.strip() for line in watch.tail if line.strip()]
     fatal = [i for i, line in enumerate(words) if "FATAL" in line]
@@ -209,7 +209,7 @@ def _fatal(watch: Watch) -> str:
 def _grid(root: Path, case: Case, folder: Path, report: Progress) -> int:
     """Make the grid if it is not there, and count its cells."""
     mark = folder / _GRID
-    if "cells" in (said := _said(mark)):
+    if "cells" in (said := _grid_note(mark)):
         return int(said["cells"])
     need_openfoam()
     shutil.rmtree(folder / "constant" / "polyMesh", ignore_errors=True)
@@ -222,7 +222,7 @@ def _grid(root: Path, case: Case, folder: Path, report: Progress) -> int:
         (folder / f"log.{program}").unlink(missing_ok=True)
         report(0.0, f"{program} makes the grid")
         command = [program, *(["-overwrite"] if program == "snappyHexMesh" else [])]
-        watch = Watch(1.0, lambda done, words: None)
+        watch = SolverMonitor(1.0, lambda done, words: None)
         _execute(folder, command, watch)
         text = (folder / f"log.{program}").read_text(encoding="utf-8")
         cells = int((re.findall(r"cells:\s*(\d+)", text) or [cells])[-1])
@@ -232,16 +232,16 @@ def _grid(root: Path, case: Case, folder: Path, report: Progress) -> int:
     return cells
 
 
-def _said(mark: Path) -> dict[str, float]:
+def _grid_note(mark: Path) -> dict[str, float]:
     """What is noted of a grid; nothing where it has not been made."""
     text = read_json(mark, "grid") if mark.is_file() else ""
     return {name: float(value) for name, value in re.findall(r'"(\w+)": (\d[.\d]*)', text)}
 
 
-def bare(root: Path, tank: Tank) -> Iterator[str]:
+def unlayered(root: Path, tank: Tank) -> Iterator[str]:
     """A line for each grid that has layers on part of the hull only."""
     for case, grid in product(tank.cases, range(1, tank.grids + 1)):
-        covered = _said(folder_of(root, case, grid) / _GRID).get("covered", 1.0)
+        covered = _grid_note(folder_of(root, case, grid) / _GRID).get("covered", 1.0)
         if covered < RULES.covered:
             yield (
                 f"{case.name}, grid {grid}: layers cover {100 * covered:.0f} % of the hull, less than "
@@ -260,7 +260,7 @@ def _distribute(tank: Tank, case: Case, grid: int, folder: Path, cores: int) -> 
     if cores > 1:
         text = case_files(tank, case, grid, cores)["system/decomposeParDict"]
         write_whole(folder / "system" / "decomposeParDict", text)
-        _execute(folder, ["decomposePar", "-force"], Watch(1.0, lambda done, words: None))
+        _execute(folder, ["decomposePar", "-force"], SolverMonitor(1.0, lambda done, words: None))
 
 
 # --- results --------------------------------------------------------------------------------------
@@ -349,7 +349,7 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         raise UndertowError(
             f"{folder}: diverged (a force is not a number): write the tank again with a smaller --time-step"
         )
-    if not case.prescribed and (off := _apart(times, v, a)) > RULES.apart:
+    if not case.prescribed and (off := _speed_mismatch(times, v, a)) > RULES.apart:
         raise UndertowError(
             f"{folder}: the speed of the hull gets {100 * off:.0f} % away from that of its forces, limit "
             f"{100 * RULES.apart:.0f} %: write the tank again with a smaller --time-step or --prescribed"
@@ -357,7 +357,7 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
 
 
-def _apart(times: Array, speed: Array, acceleration: Array) -> float:
+def _speed_mismatch(times: Array, speed: Array, acceleration: Array) -> float:
     """How far the speed gets from that by the forces, in highest speeds."""
     mean = (acceleration[1:] + acceleration[:-1]) / 2
     off = speed[1:] - speed[0] - np.cumsum(mean * np.diff(times))

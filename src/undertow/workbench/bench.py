@@ -22,7 +22,7 @@ from undertow.identification.logs.run import Run
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
-from .session import LogChoice, ModelStep, Remedy, Role, Session, Stretch, Workspace
+from .session import LogChoice, LogSegment, ModelStep, Remedy, Role, Session, Workspace
 from .tasks import TASKS, Job, read_all
 
 INSTALL = 'pip install "undertow[workbench]"'
@@ -218,11 +218,11 @@ class Bench:
         if span is None:
             choice.role, choice.stretches = role, []
         else:
-            choice.stretches.append(Stretch(start=min(span), end=max(span), role=role))
+            choice.stretches.append(LogSegment(start=min(span), end=max(span), role=role))
         self.session.written = []
         self.changed()
 
-    def take_remedy(self, remedy: Remedy) -> None:
+    def apply_remedy(self, remedy: Remedy) -> None:
         """Change the mapping as the doctor says, read the logs anew, and ask the doctor again."""
         self.place.state_mapping(self.runs[0].mapping)
         self.session.remedies.append(remedy)

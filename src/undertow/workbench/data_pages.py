@@ -95,7 +95,7 @@ def _channels(view: View) -> None:
     """The channels of one log, and buttons for the segment that the mouse chose."""
     run = view.bench.runs[view.log]
     known = _in_order(view)
-    moving = [n for n in known if np.ptp(_there(run.channels[n])) > 0]
+    moving = [n for n in known if np.ptp(_present_samples(run.channels[n])) > 0]
     view.channels = [n for n in known if n in view.channels] or moving[:_USUAL] or known[:1]
     select = ui.select(known, multiple=True, value=view.channels, label="channels")
     select.props("dense use-chips options-dense").classes("w-full").mark("channels")
@@ -246,7 +246,7 @@ def _finding(view: View, finding: Mapping[str, Any], place: int, current: bool) 
         if finding["mapping"]:
             lines(finding["mapping"])
             remedy = Remedy(id=finding["id"], lines=finding["mapping"])
-            ui.button("Apply this remedy", on_click=lambda: view.bench.take_remedy(remedy)).props(
+            ui.button("Apply this remedy", on_click=lambda: view.bench.apply_remedy(remedy)).props(
                 "dense no-caps size=sm padding='2px 10px'"
             ).mark(f"remedy-{place}").set_enabled(current)
         for other in finding["alternatives"]:
@@ -299,11 +299,11 @@ def _mended(view: View) -> dict[str, str]:
 
 
 def _range(data: Array, name: str) -> str:
-    there = _there(data)
+    there = _present_samples(data)
     return f"{there.min():.3g} to {there.max():.3g} {UNITS.get(name, '')}".rstrip()
 
 
-def _there(data: Array) -> Array:
+def _present_samples(data: Array) -> Array:
     """The samples that are not missing; a zero where none is there."""
     found = data[np.isfinite(data)]
     return found if len(found) else np.zeros(1)

@@ -21,8 +21,8 @@ from undertow.model.units import short_unit
 from undertow.model.vehicle import Vehicle
 
 from . import figures
-from .session import FORCE, REFITTED, ModelStep, Workspace, near
-from .view import View, action, button, equation, heading, lines, measures, shown, stale, words_of
+from .session import FORCE, REFITTED, ModelStep, Workspace, shown_path
+from .view import View, action, button, equation, heading, lines, measure_words, measures, shown, stale
 
 
 # --- What is missing ------------------------------------------------------------------------------
@@ -77,7 +77,7 @@ def _measure(view: View, found: Mapping[str, Any]) -> None:
         session.measure = name
         view.bench.changed()
 
-    options = {name: words_of(name) for name in names}
+    options = {name: measure_words(name) for name in names}
     ui.select(
         options, value=session.measure, label="error of the", on_change=lambda e: chosen(e.value)
     ).classes("w-64").mark("measure")
@@ -217,7 +217,7 @@ def _waterfall(view: View) -> None:
     """The error from model to model."""
     session = view.bench.session
     measure = session.measure
-    bars = list(falling(session.steps, measure))
+    bars = list(error_steps(session.steps, measure))
     if sum(value is not None for _, value in bars) < 2:
         ui.label(
             "The error of each model is drawn here after an effect is added or the model is refitted."
@@ -232,7 +232,7 @@ def _waterfall(view: View) -> None:
     )
 
 
-def falling(steps: Sequence[ModelStep], measure: str) -> Iterator[tuple[str, float | None]]:
+def error_steps(steps: Sequence[ModelStep], measure: str) -> Iterator[tuple[str, float | None]]:
     """Name and error of every model, with the refit between two where it was worked out."""
     last = ""
     for step in steps:
@@ -403,7 +403,7 @@ def _fitted(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], current
 
 
 # --- Out ------------------------------------------------------------------------------------------
-def out_page(view: View) -> None:
+def output_page(view: View) -> None:
     """Vehicle file, report, C code, and the command lines that would do the same."""
     bench = view.bench
     stem = Path(bench.session.vehicle).stem
@@ -437,7 +437,7 @@ def _output(view: View, title: str, task: str, name: str, **args: Any) -> None:
 
 def commands(place: Workspace) -> list[str]:
     """The command lines that do what was done at the workbench, in its order."""
-    session, found, name, own = place.session, list[str](), near(place.session.vehicle), list[str]()
+    session, found, name, own = place.session, list[str](), shown_path(place.session.vehicle), list[str]()
     for step in session.steps:
         if step.command:
             found.append(place.line(name, own).with_holdout(step.command.split(), "--out", step.file))

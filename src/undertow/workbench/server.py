@@ -13,7 +13,7 @@ from nicegui import app, context, ui
 
 from .bench import HOST, Bench
 from .data_pages import fails_page, log_page
-from .model_pages import missing_page, out_page, parameters_page
+from .model_pages import missing_page, output_page, parameters_page
 from .tasks import TASKS
 from .view import View
 
@@ -22,7 +22,7 @@ PAGES: dict[str, tuple[str, Callable[[View], None]]] = {
     "fails": ("Where it fails", fails_page),
     "missing": ("What is missing", missing_page),
     "parameters": ("Parameters", parameters_page),
-    "out": ("Out", out_page),
+    "out": ("Out", output_page),
 }
 # A browser that heeds this asks nobody but the workbench for anything.
 _POLICY = (
@@ -122,12 +122,12 @@ def _header(view: View) -> None:
             for name, (title, _) in PAGES.items():
                 ui.tab(name, label=title).mark(f"page-{name}")
         tabs.set_value(view.page)
-        tabs.on_value_change(lambda e: _turn(view, str(e.value)))
+        tabs.on_value_change(lambda e: _show_page(view, str(e.value)))
         ui.space()
         _progress(view)
 
 
-def _turn(view: View, page: str) -> None:
+def _show_page(view: View, page: str) -> None:
     view.page = page
     ui.navigate.history.replace(f"/?page={page}")  # a reload comes back to this page; the cookie stays
     view.draw()

@@ -38,7 +38,7 @@ REFITTED = "refitted"  # what a model is called that has other values only
 _FILE = "session.json"
 
 
-class Stretch(ResultTable):
+class LogSegment(ResultTable):
     """What is done with a part of a log; times in s."""
 
     start: float
@@ -55,14 +55,14 @@ class LogChoice(ResultTable):
     path: str
     part: int = 0
     role: Role = "train"
-    stretches: list[Stretch] = Field(default_factory=list)
+    stretches: list[LogSegment] = Field(default_factory=list)
 
     @classmethod
     def within(cls, path: Path, role: Role, span: tuple[float | None, float | None]) -> LogChoice:
         """A log of which what lies before and after a span is left out."""
         ever, (since, until) = MEASURABLE.largest, span
-        early = [] if since is None else [Stretch(start=-ever, end=since, role="out")]
-        late = [] if until is None else [Stretch(start=until, end=ever, role="out")]
+        early = [] if since is None else [LogSegment(start=-ever, end=since, role="out")]
+        late = [] if until is None else [LogSegment(start=until, end=ever, role="out")]
         return cls(path=str(path), role=role, stretches=[*early, *late])
 
     @property
@@ -70,17 +70,17 @@ class LogChoice(ResultTable):
         """All that is done with it or with parts of it."""
         return {self.role, *(s.role for s in self.stretches)}
 
-    def spans(self, first: float, last: float) -> list[Stretch]:
+    def spans(self, first: float, last: float) -> list[LogSegment]:
         """The log from its first to its last time, cut where what is done with it changes."""
         inner = (t for s in self.stretches for t in (s.start, s.end) if first < t < last)
         edges = sorted({first, last, *inner})
-        found: list[Stretch] = []
+        found: list[LogSegment] = []
         for a, b in pairwise(edges):
             role = self._role_at((a + b) / 2)
             if found and found[-1].role == role:
                 found[-1] = found[-1].model_copy(update={"end": b})
             else:
-                found.append(Stretch(start=a, end=b, role=role))
+                found.append(LogSegment(start=a, end=b, role=role))
         return found
 
     def _role_at(self, t: float) -> Role:
@@ -103,7 +103,7 @@ def seconds(t: float) -> str:
     return f"{t:.4g}" if abs(t) < 1e4 else f"{t:.1f}"
 
 
-def _part(piece: Run, run: Run, span: Stretch) -> Run:
+def _part(piece: Run, run: Run, span: LogSegment) -> Run:
     name = f"{run.name} [{seconds(span.start)}-{seconds(span.end)} s]"
     return replace(piece, name=name, part_of=run.origin)
 
@@ -318,19 +318,19 @@ class Workspace:
         if s.written:
             beside = Path(s.written[0]).with_suffix(".toml")
             mapping = beside if beside.exists() else None
-        options = ["--map", near(mapping)] if mapping else []
-        given = [near(path) for path in s.effects if Path(path).parent != self.folder.absolute()]
+        options = ["--map", shown_path(mapping)] if mapping else []
+        given = [shown_path(path) for path in s.effects if Path(path).parent != self.folder.absolute()]
         options += [word for path in (*given, *own) for word in ("--effects", path)]
         options += ["--fill", s.fill] if s.fill and not s.written else []
         options += ["--trust-log"] if s.trust_log else []
         train, judge = (self.log_names(role) for role in ("train", "judge"))
-        return CommandLine(vehicle or near(s.vehicle), tuple(train), tuple(judge), tuple(options))
+        return CommandLine(vehicle or shown_path(s.vehicle), tuple(train), tuple(judge), tuple(options))
 
     def log_names(self, role: str) -> list[str]:
         """Files with what is fitted to ("train") or judged by ("judge")."""
         if self.session.written:
-            return [near(name) for name in self.session.written if Path(name).name.startswith(role)]
-        return list(dict.fromkeys(near(log.path) for log in self.session.logs if log.role == role))
+            return [shown_path(name) for name in self.session.written if Path(name).name.startswith(role)]
+        return list(dict.fromkeys(shown_path(log.path) for log in self.session.logs if log.role == role))
 
     @property
     def in_pieces(self) -> bool:
@@ -344,7 +344,7 @@ def _seen(path: Path) -> list[str | int]:
     return [path.name, path.stat().st_size, path.stat().st_mtime_ns] if path.exists() else [path.name]
 
 
-def near(path: str | Path) -> str:
+def shown_path(path: str | Path) -> str:
     """A path as somebody in the present folder would write it; the name of a bundled vehicle stays."""
     place = Path(path)
     return str(place.relative_to(Path.cwd())) if place.is_relative_to(Path.cwd()) else str(path)

@@ -49,7 +49,7 @@ class View:
             self.draw()
 
 
-def words_of(measure: str) -> str:
+def measure_words(measure: str) -> str:
     """What a measure of an error is."""
     if measure == FORCE:
         return "force, times the noise"

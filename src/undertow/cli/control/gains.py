@@ -241,7 +241,7 @@ def show(report: Report, singles: Sequence[SingleRepair] = (), repair: Repair | 
     _show_region(report)
     _show_uncertain(report)
     _show_repairs(singles, repair)
-    _show_rest(report)
+    _show_remainder(report)
 
 
 def _headline(report: Report) -> str:
@@ -292,11 +292,11 @@ def _with_numbers(row: Row) -> str:
         return _verdict(row)
     at = f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
     if "λmax" in row.statement:
-        return f"{_apart(row.left, row.right)}{at} {_verdict(row)}"
+        return f"{_distinct_digits(row.left, row.right)}{at} {_verdict(row)}"
     return f"λmin {_number(row.margin)} > 0{at} {_verdict(row)}"
 
 
-def _apart(left: float, right: float) -> str:
+def _distinct_digits(left: float, right: float) -> str:
     """Both sides with as many digits as tell them apart, five at least."""
     digits = next((n for n in range(5, 17) if f"{left:.{n}g}" != f"{right:.{n}g}"), 17)
     return f"{left:.{digits}g} > {right:.{digits}g}"
@@ -489,7 +489,7 @@ def _iota(row: Row, verdict: str) -> str:
 def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> None:
     if singles:
         section("Repairs by one gain alone")
-        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_wanted(s)}") for s in singles)
+        rows = ((f"{s.coordinate}: {s.kind}", s.signs, f"{s.gain} {_rounded_bound(s)}") for s in singles)
         console().print(table(("to satisfy", "parameters", "one of"), rows))
     if repair is None:
         return
@@ -511,7 +511,7 @@ def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> Non
     say(f"  {repair.method}", "dim")
 
 
-def _wanted(single: SingleRepair) -> str:
+def _rounded_bound(single: SingleRepair) -> str:
     """The bound rounded to the side on which the condition holds."""
     if single.bound is None:
         return "alone never suffices"
@@ -520,7 +520,7 @@ def _wanted(single: SingleRepair) -> str:
     return f"{'>' if single.above else '<'} {float(rounded):.6g}"
 
 
-def _show_rest(report: Report) -> None:
+def _show_remainder(report: Report) -> None:
     if report.zero_dynamics:
         section("Axes that no thruster pushes")
         say(f"  {report.zero_dynamics.text}", "" if report.zero_dynamics.stable else _RED)
@@ -530,17 +530,17 @@ def _show_rest(report: Report) -> None:
         console().print(table(("", ""), report.not_covered.items()))
     if report.full_loop is not None:
         style = "" if report.full_loop.stable else _RED
-        say(f"  full loop linearised at rest: {_whole(report.full_loop)}", style)
+        say(f"  full loop linearised at rest: {_full_loop(report.full_loop)}", style)
         if report.full_loop.simulated:
             say(f"  full loop simulated: {report.full_loop.simulated}", style)
     if report.loop_with_observer is not None:
         section("With the observer")
         style = "" if report.loop_with_observer.stable else _RED
-        say(f"  loop with the observer, linearised at rest: {_whole(report.loop_with_observer)}", style)
+        say(f"  loop with the observer, linearised at rest: {_full_loop(report.loop_with_observer)}", style)
         say("  conditions and certified region are for true states, not for estimates", "dim")
 
 
-def _whole(whole: FullLoop) -> str:
+def _full_loop(whole: FullLoop) -> str:
     if whole.pole is None or whole.verdict not in ("stable", "unstable"):
         return whole.text
     verdict = "stable" if whole.stable else "UNSTABLE"

@@ -115,7 +115,7 @@ def linearize(
             gains=gains,
             observer=observer,
             pade=pade,
-            dt=_period(dt),
+            dt=_sampling_time(dt),
             together=together,
             sensors=words([sensors]) if sensors else [],
             family_of=family or 0,
@@ -142,7 +142,7 @@ def linearize(
         typer.echo(f"wrote {out}", err=json)
 
 
-def _period(text: str | None) -> float:
+def _sampling_time(text: str | None) -> float:
     """The sampling time, s; 0 for continuous."""
     if text is None:
         return 0.0
@@ -207,10 +207,10 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
     if found.multiloop_disk is not None:
         say(f"  all forces at once: disk {found.multiloop_disk:.4g}")
     section("Controllability and observability")
-    for line in [*_reached(found.controllability, *_MOVED), *_reached(found.observability, *_SEEN)]:
+    for line in [*_subspace(found.controllability, *_MOVED), *_subspace(found.observability, *_SEEN)]:
         say(f"  {line}")
     if found.family:
-        section(f"Family from {found.family.uncertainty.source}", _family(found.family))
+        section(f"Family from {found.family.spread.source}", _family(found.family))
 
 
 _MARGINS = {
@@ -262,11 +262,11 @@ def _growth(found: Analysis) -> list[str]:
 
 
 def _zeros(channels: Sequence[Channel], unit: str) -> object:
-    rows = [(c.name, ", ".join(shown(z) for z in _once(c.zeros)) or "none") for c in channels]
+    rows = [(c.name, ", ".join(shown(z) for z in _conjugates_once(c.zeros)) or "none") for c in channels]
     return table(("channel", f"zeros, {unit}"), rows)
 
 
-def _once(values: Sequence[complex]) -> list[complex]:
+def _conjugates_once(values: Sequence[complex]) -> list[complex]:
     return [v for v in values if v.imag >= 0]
 
 
@@ -292,7 +292,7 @@ def _number(value: float, form: str, otherwise: str = "any") -> str:
     return form.format(value) if isfinite(value) else otherwise
 
 
-def _reached(reach: Subspace, does: str, does_not: str, mixed: str) -> list[str]:
+def _subspace(reach: Subspace, does: str, does_not: str, mixed: str) -> list[str]:
     lines = [f"{does} {reach.rank} of {reach.of} state directions"]
     if reach.missing:
         lines.append(f"{does_not} {', '.join(reach.missing)}")

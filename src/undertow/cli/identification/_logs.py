@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Fill = Literal["refuse", "hold", "gap"]
 
 
-def in_order(context: typer.Context, logs: list[Path] | None) -> list[Path] | None:
+def ordered_logs(context: typer.Context, logs: list[Path] | None) -> list[Path] | None:
     """The logs, refused where a log stands in the place of the vehicle."""
     given = context.params.get("vehicle")
     if given is None or not _is_log(given):
@@ -78,16 +78,14 @@ LogsArgument = Annotated[
     typer.Argument(
         metavar="LOG",
         help="Logs: tables (CSV, Parquet), or vehicle logs in their own format.",
-        callback=in_order,
+        callback=ordered_logs,
     ),
 ]
 HoldoutOption = Annotated[
-    list[Path] | None,
-    typer.Option(metavar="LOG", help="Logs for validation, up to the next option."),
+    list[Path] | None, typer.Option(metavar="LOG", help="Logs for validation, up to the next option.")
 ]
 MapOption = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Mapping file: columns, units and frames of the logs."),
+    Path | None, typer.Option(metavar="FILE", help="Mapping file: columns, units and frames of the logs.")
 ]
 FillOption = Annotated[
     Fill | None,
@@ -121,7 +119,7 @@ class Loaded(NamedTuple):
             return with_errors_on_rest(self.chosen, models, progress=report)
 
 
-def _say_notes(notes: Mapping[str, Iterable[str]]) -> None:
+def _print_notes(notes: Mapping[str, Iterable[str]]) -> None:
     """Print the notes of the readers of vehicles' own logs by the path of the log, the same note once."""
     sources: dict[str, list[str]] = {}
     for source, lines in notes.items():
@@ -229,7 +227,7 @@ class ReadOptions:
                 field_logs=opened,
                 progress=report,
             )
-        _say_notes({run.source: run.reader_notes for run in runs})
+        _print_notes({run.source: run.reader_notes for run in runs})
         if not (on_rig or one_motion):
             _refuse_rig(model, runs)
         first = sum(run.source in set(map(str, logs)) for run in runs)
@@ -260,13 +258,13 @@ class ReadOptions:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
-                _say_notes({str(log.path): log.reader_notes for log in long})
+                _print_notes({str(log.path): log.reader_notes for log in long})
                 chosen = choosing.choose(model, work, validation, budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
                 return Loaded(model, runs, chosen.validation, chosen)
             if choosing.beyond_memory(long):
                 runs = choosing.short_parts(model, long)
-                _say_notes({run.source: run.reader_notes for run in runs})
+                _print_notes({run.source: run.reader_notes for run in runs})
                 return Loaded(model, runs[: len(work)], runs[len(work) :])
         return None
 

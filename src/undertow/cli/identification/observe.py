@@ -98,13 +98,7 @@ def observe(
     estimated = (*(("V_N", "V_E") if current else ()), *(f"b_{n}" for n in words([bias] if bias else [])))
     with progress("observing") as report:
         found = observe_logs(
-            model,
-            runs,
-            process=process,
-            estimated=estimated,
-            method=filter,
-            references=true,
-            progress=report,
+            model, runs, process=process, estimated=estimated, method=filter, references=true, progress=report
         )
 
     names = _of_each(out, plot, runs)
@@ -228,7 +222,7 @@ def errors(title: str, found: Observed | ObservedLogs) -> None:
 
 def verdict_of_errors(found: Observed | ObservedLogs) -> str:
     """One line on the errors against true states."""
-    outside = [one for one in found.nees if not one.honest]
+    outside = [one for one in found.nees if not one.consistent]
     if not outside:
         return f"errors are as large as expected (NEES {found.nees[-1].mean:.3f})"
     faults = [f"NEES of {one.name} {one.mean:.3f}, not {one.low:.3f} to {one.high:.3f}" for one in outside]
@@ -246,9 +240,9 @@ _KINEMATIC = (
 def verdict(found: Observed | ObservedLogs) -> str:
     """One line on the whole."""
     whole = found.nis[-1]
-    if found.honest:
+    if found.consistent:
         return f"innovations are as large as expected (NIS {whole.mean:.3f}) and white"
-    faults = [] if whole.honest else [f"NIS {whole.mean:.3f}, not {whole.low:.3f} to {whole.high:.3f}"]
+    faults = [] if whole.consistent else [f"NIS {whole.mean:.3f}, not {whole.low:.3f} to {whole.high:.3f}"]
     faults += [f"{count} reports of {name} are rejected" for name, count in found.lost.items()]
     coloured = [one.name for one in found.white if not one.white]
     faults += [f"innovations of {', '.join(coloured)} are not white"] if coloured else []

@@ -37,7 +37,7 @@ from undertow.errors import UndertowError
 
 from .._options import JsonFileOption, VehicleArgument, bundled, names_and_values, words
 from .._terminal import console, progress, say, section, table, text, write_files
-from ._logs import LogOptions, in_order, say_long
+from ._logs import LogOptions, ordered_logs, say_long
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from undertow.identification.planning.search import Planned
 
 
-_LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.", callback=in_order)
+_LOGS = typer.Argument(metavar="LOG", help="Existing logs: CSV, CSV.gz or Parquet.", callback=ordered_logs)
 _GOAL = typer.Option(help="Goal: determine parameters, or tell models apart.")
 _BETWEEN = typer.Option(
     metavar="ID,ID[,ID]", help='Effects to tell apart; "none" is the model as it is, a+b has both.'

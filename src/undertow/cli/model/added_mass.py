@@ -88,7 +88,7 @@ class BodyOptions:
         """
         from undertow.model.loading import load_vehicle
         from undertow.shape.bodies import AddedMass
-        from undertow.shape.first import sigma_of
+        from undertow.shape.hull_vehicle import sigma_of
 
         place = self._place()
         target = self._target(inputs)
@@ -129,7 +129,7 @@ class BodyOptions:
         self, vehicle: Vehicle, added: AddedMass, radiation: Sequence[Radiation], target: Path | None
     ) -> None:
         from undertow.model.saving import save_vehicle
-        from undertow.shape.first import with_added_mass, with_radiation
+        from undertow.shape.hull_vehicle import with_added_mass, with_radiation
 
         if target is None:
             typer.echo("no vehicle file was written: --out NEW.toml or --in-place writes it", err=True)
@@ -256,7 +256,7 @@ def _content(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()
 def show(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) -> None:
     """Print an added mass: what matters of its matrix, where it is from, how far to trust it."""
     from undertow.model.symbols import FORCE, VELOCITY
-    from undertow.shape.first import coupled, derivative
+    from undertow.shape.hull_vehicle import coupled, derivative
 
     places = [*((i, i) for i in range(6)), *coupled(added.matrix)]
     rows = [

@@ -97,13 +97,13 @@ def new(
     is halved at planes of symmetry. This command does not need OpenFOAM.
     """
     from undertow.files import check_folder, sha256_of
-    from undertow.shape.first import motions
-    from undertow.tank.case import Orders, make_tank, write_tank
+    from undertow.shape.hull_vehicle import motions
+    from undertow.tank.case import TankPlan, make_tank, write_tank
 
     check_folder(out)
     _refuse_old(out, force)
     surface = read(hull, unit, frame).mesh
-    orders = Orders(
+    plan = TankPlan(
         mass=mass,
         motions=motions([m.strip() for m in motion.split(",")]),
         profiles=[p.strip() for p in profile.split(",")],
@@ -119,7 +119,7 @@ def new(
         depth=depth,
         span=span,
     )
-    made, centred = make_tank(surface, orders, hull.name, sha256_of(hull))
+    made, centred = make_tank(surface, plan, hull.name, sha256_of(hull))
     with progress("writing", None):
         write_tank(out, made, centred)
     high = made.half[2] + (made.half[2] if depth is None else depth)
@@ -164,13 +164,13 @@ def run(
     that diverges is refused with the time and the Courant number. Logs and mapping files are in TANK/logs.
     """
     from undertow.tank.coefficients import coefficients
-    from undertow.tank.run import bare, run_tank
+    from undertow.tank.run import run_tank, unlayered
     from undertow.tank.settings import read_tank
 
     made = read_tank(root)
     with progress("towing tank") as report:
         written = run_tank(root, made, grids=grids, cores=cores, progress=report)
-    for line in bare(root, made):
+    for line in unlayered(root, made):
         logging.getLogger("undertow").warning("%s", line)
     found = coefficients(root, made)
     if json:

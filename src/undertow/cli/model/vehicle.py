@@ -30,9 +30,9 @@ from .._options import NewForceOption, new_file
 from .._terminal import console, progress, say, table, text
 
 if TYPE_CHECKING:
-    from undertow.shape.afloat import FloatingVehicle
     from undertow.shape.bodies import AddedMass
-    from undertow.shape.first import EffectTable, HullSpec
+    from undertow.shape.floating_vehicle import FloatingVehicle
+    from undertow.shape.hull_vehicle import EffectTable, HullSpec
     from undertow.shape.mesh import Hull, Mesh
 
 
@@ -192,7 +192,7 @@ def new(
     """
     from undertow.files import sha256_of, write_whole
     from undertow.model.symbols import DOFS
-    from undertow.shape.first import HullSpec, first_vehicle, motions
+    from undertow.shape.hull_vehicle import HullSpec, hull_vehicle, motions
 
     chosen = None if dof is None else motions([d.strip() for d in dof.split(",")])
     sides = (length, beam, height)
@@ -231,14 +231,14 @@ def new(
         return
     found = _added(hull.mesh, density, added_mass, panels, crease)
     tests = [] if tank is None else _tests(tank, spec, origin)
-    write_whole(target, first_vehicle(hull.mesh, found, spec, tests))
+    write_whole(target, hull_vehicle(hull.mesh, found, spec, tests))
     _summary(hull.mesh, target, spec.volume, mass, density, found.source)
 
 
 def _afloat(mesh: Mesh, spec: HullSpec, floating: bool, wave: str | None, finest: int, target: Path) -> None:
     """Write a vehicle file of a hull at the surface."""
     from undertow.files import write_whole
-    from undertow.shape.afloat import WaveSpec, floating_vehicle
+    from undertow.shape.floating_vehicle import WaveSpec, floating_vehicle
 
     if not floating:
         raise UndertowError(f"--wave {wave} is for a hull at the surface: give --floating")

@@ -119,7 +119,7 @@ class Parts:
                 known[process.vehicle.command_names.index(name)] = commands[i]
         u = ca.SX.zeros(self.functions.u.numel(), 1)
         u[self.commanded] = commands
-        ahead = observer.ahead(estimate, ca.vertcat(known, step[known.numel() :]), dt)
+        ahead = observer.predicted_z(estimate, ca.vertcat(known, step[known.numel() :]), dt)
         outputs = [ca.densify(o) for o in ca.cse([u, known, ahead, own, tau])]
         given, results = ["z", "step", *names], ["u", "known", "zn", "sn", "tau"]
         return ca.Function("present", [z, step, r, s, k, dt], outputs, given, results)
@@ -137,7 +137,7 @@ class Parts:
     def _behind_observer(self, sampled: ca.Function) -> ca.Function:
         """The controller behind an observer, whose states stand before those of the controller."""
         observer, names = self._filter, sampled.name_in()
-        kept, size = observer.kept, observer.step_size
+        kept, size = observer.past_steps, observer.step_size
         kind = ca.MX if kept else ca.SX
         more = {"s": observer.size}
         r, s, k, dt = (kind.sym(n, sampled.size1_in(n) + more.get(n, 0)) for n in names[1:])
@@ -149,7 +149,9 @@ class Parts:
             reported, which = observer.places(i)
             steps[reported, kept - lag], steps[which, kept - lag] = y[sensor], there[i]
         if kept:
-            passed = observer.again.mapaccum("passed", kept)(oldest, steps[:, :kept], ca.repmat(dt, 1, kept))
+            passed = observer.replayed.mapaccum("passed", kept)(
+                oldest, steps[:, :kept], ca.repmat(dt, 1, kept)
+            )
             z, oldest = passed[:, kept - 1], passed[:, 0]
         u, known, z, own, tau = self.present(z, steps[:, kept], r, own, k, dt)
         steps[: known.numel(), kept] = known

@@ -204,8 +204,8 @@ def _address(array: np.ndarray | None) -> ctypes.c_void_p:
 def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
     """C source of closed loops and the name of the entry point, which carries the hash of the source."""
     form = parts.functions.prepared
-    late = parts.observer if parts.observer and parts.observer.kept else None
-    control = [late.due, late.again, parts.present] if late else [parts.control]
+    late = parts.observer if parts.observer and parts.observer.past_steps else None
+    control = [late.due, late.replayed, parts.present] if late else [parts.control]
     functions = [form.prepare, form.hold, form.held_dynamics, parts.outputs, *control, parts.law]
     sizes = {
         "LANES": lanes,
@@ -242,7 +242,7 @@ def _late_observer_c(observer: Design, parts: Parts) -> list[str]:
     sizes = {
         "NZ": observer.z_size,
         "STEP": observer.step_size,
-        "KEPT": observer.kept,
+        "KEPT": observer.past_steps,
         "SENSORS": len(observer.sensors),
         "KNOWN": observer.process.u.numel(),
         "OWN": parts.present.size1_out("sn"),

@@ -245,7 +245,7 @@ class Certificate:
     """What is known of a number over all attitudes."""
 
     bound: float  # the number is nowhere below this
-    least_found: float  # the least value found at a point
+    least: float  # the least value found at a point
     worst: dict[str, float]  # angles of that point, rad
     proof: str  # why the bound holds, in words
 
@@ -505,13 +505,10 @@ def _bounds_of_pairs(
     for k in range(0, len(boxes), BOUNDS.batch):
         own = slice(k, k + BOUNDS.batch)
         every, place = np.unique(boxes[own].reshape(len(boxes[own]), -1), axis=0, return_inverse=True)
-        J = _inverses(attitudes, angles, every.reshape(len(every), *boxes.shape[1:]))
+        ends = every.reshape(len(every), -1, 2)
+        J = attitudes.inverse({a: Interval(*ends[:, i].T) for i, a in enumerate(angles)})
         found[own] = margin(J, place.ravel(), case[own])
     return found
-
-
-def _inverses(attitudes: Attitudes, angles: tuple[str, ...], boxes: Array) -> Interval:
-    return attitudes.inverse({a: Interval(boxes[:, i, 0], boxes[:, i, 1]) for i, a in enumerate(angles)})
 
 
 def _halved(boxes: Array) -> Array:

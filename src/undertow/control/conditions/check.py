@@ -130,10 +130,8 @@ def _parameter_box(gains: GainSet, uncertainty: Uncertainty, uncertain: Uncertai
         which = f"law '{gains.law.id}'" if gains.law.id not in ("pd", "pid") else "unactuated axes"
         raise UndertowError(f"--uncertain: with {which} no region is proved over parameters: leave it out")
     plant = gains.plant
-    uncertain_symbols = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(
-        plant.numbers
-    )
-    symbols = sorted(uncertain_symbols - plant.g.free_symbols - plant.B.free_symbols, key=str)
+    free = (plant.M.free_symbols | plant.C.free_symbols | plant.D.free_symbols) & set(plant.numbers)
+    symbols = sorted(free - plant.g.free_symbols - plant.B.free_symbols, key=str)
     names = [str(s) for s in symbols]
     if uncertain == "stated":
         spans = uncertainty.intervals(names)
@@ -301,7 +299,7 @@ class _Evaluation:
             signs=signs.name,
             left=left,
             right=right,
-            margin=certificate.least_found,
+            margin=certificate.least,
             verdict=verdict,
             iota=interval,
             uses_iota=condition.uses_iota,
@@ -312,7 +310,7 @@ class _Evaluation:
         )
 
     def _verdict(self, certificate: Certificate, interval: Span | None) -> str:
-        if certificate.least_found > 0:
+        if certificate.least > 0:
             return HOLDS if certificate.bound > 0 else UNPROVED
         return NO_IOTA if self.condition.uses_iota and interval is None else FAILS
 

@@ -36,10 +36,7 @@ class Commands:
         self.problem = problem
         allocation = allocation_of(problem.gains)
         limited = np.isfinite(allocation.limits)
-        self.force_to_commands, self.limits = (
-            allocation.force_to_commands[limited],
-            allocation.limits[limited],
-        )
+        self.B_inverse, self.limits = (allocation.B_inverse[limited], allocation.limits[limited])
         names = problem.plant.vehicle.command_names
         self.names = [n for n, there in zip(names, limited, strict=True) if there]
 
@@ -78,7 +75,7 @@ class Commands:
                 f"the force at rest depends on {', '.join(sorted(map(str, others)))}: whether the thrusters "
                 "can hold it everywhere is not certified"
             )
-        return sm.Matrix(self.force_to_commands) * force
+        return sm.Matrix(self.B_inverse) * force
 
     def result(self, largest: Array) -> tuple[Command, ...]:
         """The commands with a bound on each."""
@@ -97,7 +94,7 @@ def pd_commands(commands: Commands, level: float, reach: dict[str, float]) -> Ar
     boxes = problem.attitudes.boxes(reach)
     J = problem.attitudes.forward(boxes)
     rest = commands.at_rest(boxes)
-    squares = [_squared_bound(problem, J, row) for row in commands.force_to_commands]
+    squares = [_squared_bound(problem, J, row) for row in commands.B_inverse]
     return rest + np.sqrt(2 * level * np.array(squares))
 
 
@@ -174,7 +171,7 @@ class SlidingCommands:
         found = []
         for sign_set, velocity_force in zip(problem.sets, self._velocity_force, strict=True):
             force = sign_set.inertia @ (inverse @ acceleration) + velocity_force(*angles, *speeds)
-            found.append((self._commands.force_to_commands @ force).magnitude[..., 0].max(axis=0))
+            found.append((self._commands.B_inverse @ force).magnitude[..., 0].max(axis=0))
         return rest + np.max(found, axis=0)
 
     def _reaching_rate(self, errors: Array) -> Array:
@@ -250,16 +247,12 @@ def inverses_of_inertia(problem: Problem, cases: Array) -> InertiaInverses:
 
 def inverse_of_inertia(matrix: Interval) -> Interval:
     """Inverses of matrices of nearly no width, enclosed by what is left of the identity."""
-    approximate = np.linalg.inv(matrix.middle)
-    n = approximate.shape[-1]
-    residual = (enclose(np.eye(n)) - approximate @ matrix).magnitude.sum(axis=-1).max(axis=-1) * (
-        1 + n * _EPS
-    )
-    if not (residual < 0.5).all():
+    near = np.linalg.inv(matrix.middle)
+    n = near.shape[-1]
+    left = (enclose(np.eye(n)) - near @ matrix).magnitude.sum(axis=-1).max(axis=-1) * (1 + n * _EPS)
+    if not (left < 0.5).all():
         raise UndertowError("the mass matrix is too badly conditioned for a certificate: check [effects]")
-    return approximate + plus_minus(
-        (2 * residual)[..., None, None] * np.abs(approximate).max(axis=-2, keepdims=True)
-    )
+    return near + plus_minus((2 * left)[..., None, None] * np.abs(near).max(axis=-2, keepdims=True))
 
 
 # --- what motion does to the matrices -------------------------------------------------------------
@@ -334,7 +327,5 @@ def damping_loss(plant: Plant, sign_set: SignSet) -> DampingLoss:
     """The bound for one sign set."""
     n = len(plant.nu)
     moving = [t for t in terms_of(plant, plant.with_signs(plant.D, sign_set.signs)) if any(t.powers)]
-    nonnegative = [
-        t for t in moving if t.row == t.column and t.value > 0 and all(p % 2 == 0 for p in t.powers[:n])
-    ]
-    return DampingLoss(n, tuple(t for t in moving if t not in nonnegative))
+    never = [t for t in moving if t.row == t.column and t.value > 0 and all(p % 2 == 0 for p in t.powers[:n])]
+    return DampingLoss(n, tuple(t for t in moving if t not in never))

@@ -31,7 +31,7 @@ class ProofSettings:
 SETTINGS = ProofSettings()
 
 
-def mean_cholesky_factors(middle: Array, place: Any, count: int) -> Array:
+def mean_cholesky(middle: Array, place: Any, count: int) -> Array:
     """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
     total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
     np.add.at(total, place, middle)
@@ -66,7 +66,7 @@ def positive_definite(matrices: Interval) -> Flags:
     return np.concatenate([positive_definite(matrices[half]) for half in halves])
 
 
-def bounded_on_level_set(P: Array, rows: Interval, bounds: Array) -> Flags:
+def bounded(P: Array, rows: Interval, bounds: Array) -> Flags:
     """By box, whether |row z| < bound on z' P z < 1, proved: bound^2 P - row row' is positive definite."""
     rows = rows * enclose(bounds[:, None]).reciprocal()
     return positive_definite(P - rows[..., :, None] * rows[..., None, :])
@@ -172,29 +172,24 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, bu
     if len(pending):
         used, places = np.unique(place[pending], return_inverse=True)
         # Triangular, so regular for certain: in these states rows are near the identity.
-        inverse = np.asarray(
-            np.linalg.inv(mean_cholesky_factors(middle[pending], places, len(used))), dtype=float
-        )
+        inverse = np.asarray(np.linalg.inv(mean_cholesky(middle[pending], places, len(used))), dtype=float)
         rows = lower_bound(_congruent(rest[pending], inverse[places]))
-        trees = [VertexTree(_congruent_lower_bound(e[used], inverse[:, None])) for e in ends]
+        trees = [VertexTree(_congruent_lower(e[used], inverse[:, None])) for e in ends]
         _branch(rows, places, trees, box[pending], proved, budget)
     return proved
 
 
-def _congruent(stack: Interval, transform: Array) -> Interval:
-    return transform @ stack @ np.swapaxes(transform, -1, -2)
+def _congruent(stack: Interval, T: Array) -> Interval:
+    return T @ stack @ np.swapaxes(T, -1, -2)
 
 
-def _congruent_lower_bound(stack: Interval, transform: Array) -> Array:
+def _congruent_lower(stack: Interval, T: Array) -> Array:
     """`lower_bound` of `_congruent`; nearly exact intervals in numbers, lowered by more than rounding."""
     if (stack.radius > SETTINGS.room * _norm(stack.middle)[..., None, None]).any():
-        return lower_bound(_congruent(stack, transform))
+        return lower_bound(_congruent(stack, T))
     below = lower_bound(stack)
-    shift = SETTINGS.rounding * _norm(transform) ** 2 * _norm(below)
-    return np.asarray(
-        transform @ below @ np.swapaxes(transform, -1, -2)
-        - shift[..., None, None] * np.eye(transform.shape[-1])
-    )
+    shift = SETTINGS.rounding * _norm(T) ** 2 * _norm(below)
+    return np.asarray(T @ below @ np.swapaxes(T, -1, -2) - shift[..., None, None] * np.eye(T.shape[-1]))
 
 
 def _branch(
@@ -203,30 +198,28 @@ def _branch(
     """Take boxes that are not proved out of `proved`; all of them where the work is too much."""
     pending = [(np.arange(len(rows)), np.zeros((len(rows), len(trees)), dtype=int))]
     while pending:
-        rows_left, sets = pending.pop()
-        rows_left, sets = rows_left[proved[box[rows_left]]], sets[proved[box[rows_left]]]
-        if len(rows_left) > SETTINGS.batch:
-            pending.append((rows_left[SETTINGS.batch :], sets[SETTINGS.batch :]))
-            rows_left, sets = rows_left[: SETTINGS.batch], sets[: SETTINGS.batch]
-        budget.remaining -= len(rows_left)
+        row, sets = pending.pop()
+        row, sets = row[proved[box[row]]], sets[proved[box[row]]]
+        if len(row) > SETTINGS.batch:
+            pending.append((row[SETTINGS.batch :], sets[SETTINGS.batch :]))
+            row, sets = row[: SETTINGS.batch], sets[: SETTINGS.batch]
+        budget.remaining -= len(row)
         if budget.remaining < 0:
             proved[:] = False
             return
-        if len(rows_left):
-            unproved, x = _unproved(rows[rows_left], place[rows_left], sets, trees)
-            rows_left, sets = rows_left[unproved], sets[unproved]
-            refuted, branch_on = _next_branch(rows[rows_left], place[rows_left], sets, trees, x)
-            proved[box[rows_left[refuted]]] = False
-            pending += [
-                (rows_left[~refuted], _halve(sets[~refuted], branch_on[~refuted], trees, k)) for k in (0, 1)
-            ]
+        if len(row):
+            unproved, x = _unproved(rows[row], place[row], sets, trees)
+            row, sets = row[unproved], sets[unproved]
+            refuted, axis = _branching(rows[row], place[row], sets, trees, x)
+            proved[box[row[refuted]]] = False
+            pending += [(row[~refuted], _halve(sets[~refuted], axis[~refuted], trees, k)) for k in (0, 1)]
 
 
-def _halve(sets: Any, branch_on: Any, trees: list[VertexTree], half: int) -> Any:
+def _halve(sets: Any, axis: Any, trees: list[VertexTree], half: int) -> Any:
     """The sets of ends with one half of that which is cut."""
     found = sets.copy()
     for i, tree in enumerate(trees):
-        found[branch_on == i, i] = tree.children[sets[branch_on == i, i], half]
+        found[axis == i, i] = tree.children[sets[axis == i, i], half]
     return found
 
 
@@ -239,9 +232,7 @@ def _unproved(rows: Array, place: Any, sets: Any, trees: list[VertexTree]) -> tu
     return unproved, np.linalg.eigh(total[unproved])[1][..., 0]
 
 
-def _next_branch(
-    rows: Array, place: Any, sets: Any, trees: list[VertexTree], x: Array
-) -> tuple[Flags, Array]:
+def _branching(rows: Array, place: Any, sets: Any, trees: list[VertexTree], x: Array) -> tuple[Flags, Array]:
     """Rows that are lost, and for the others of which velocity the ends are cut.
 
     A row is lost where the worst ends for its direction leave nothing of it, or where each set is one end.
@@ -291,12 +282,10 @@ def solve_sdp(cost: Array, inequalities: Sequence[LMI]) -> Solution | None:
     A = csc_matrix(-np.concatenate(rows))
     b = np.concatenate([_packed(f.constant[None])[0] for f in inequalities])
     cones = [clarabel.PSDTriangleConeT(len(f.constant)) for f in inequalities]
-    no_quadratic_cost = csc_matrix((len(cost), len(cost)))
+    none = csc_matrix((len(cost), len(cost)))
     # Cut into their cliques, forms are solved several times as fast; where rounding stops that, whole.
     for decompose in (True, False):
-        solution = clarabel.DefaultSolver(
-            no_quadratic_cost, cost, A, b, cones, _settings(clarabel, decompose)
-        ).solve()
+        solution = clarabel.DefaultSolver(none, cost, A, b, cones, _settings(clarabel, decompose)).solve()
         if str(solution.status) in ("Solved", "AlmostSolved"):
             break
         if "Infeasible" in str(solution.status):

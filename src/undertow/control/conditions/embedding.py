@@ -310,9 +310,7 @@ class Embedding:
         rows = []
         for k, case in enumerate(cases):
             own = (
-                [(case[i] * speed, case[i]), (0.0, case[i])]
-                if switched
-                else _ends_of_speed(speed, m.counts[i])
+                [(case[i] * speed, case[i]), (0.0, case[i])] if switched else _speed_ends(speed, m.counts[i])
             )
             rows += [(k, value, sign) for value, sign in own]
         case_of_row = np.array([k for k, _, _ in rows])
@@ -333,10 +331,8 @@ class Embedding:
         zero = np.zeros_like(p)
         S = np.array([[zero, -r, q], [r, zero, -p], [-q, p, zero]]).transpose(2, 0, 1)
         found = np.zeros((len(nu), self.n, self.n))
-        own = [dofs[i] for i in self.translations]
-        found[np.ix_(range(len(nu)), self.translations, self.translations)] = S[
-            np.ix_(range(len(nu)), own, own)
-        ]
+        own, rows = [dofs[i] for i in self.translations], range(len(nu))
+        found[np.ix_(rows, self.translations, self.translations)] = S[np.ix_(rows, own, own)]
         return found
 
     # --- the loop -------------------------------------------------------------------------------
@@ -424,7 +420,7 @@ class Embedding:
         """Rows that give what each limited command adds to that at rest, shape (boxes, m, size)."""
         L, N = self._at("L", angles), self._at("N", angles)
         K = dict(zip(("K_P", "K_V", "K_I"), self._gains, strict=False))
-        force = commands.force_to_commands @ (L.T @ N.T)
+        force = commands.B_inverse @ (L.T @ N.T)
         parts = [force @ K["K_P"], -(force @ K["K_V"] @ N)]
         return block([[force @ K["K_I"], *parts] if self.integral else parts])[:, 0]  # type: ignore[no-any-return]
 
@@ -436,7 +432,7 @@ class Embedding:
         return {a: Interval(lo.ravel(), hi.ravel()) for a, lo, hi in pairs}
 
 
-def _ends_of_speed(speed: float, count: int) -> list[tuple[float, float]]:
+def _speed_ends(speed: float, count: int) -> list[tuple[float, float]]:
     """Values and signs of one velocity that bound everything between."""
     first, at_rest, reversed_rest, last = (speed, 1.0), (0.0, 1.0), (0.0, -1.0), (-speed, -1.0)
     return {2: [first, last], 3: [first, at_rest, last], 4: [first, at_rest, reversed_rest, last]}[count]

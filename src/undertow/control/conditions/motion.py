@@ -34,192 +34,17 @@ from .commands import Commands, inverse_of_inertia, inverses_of_inertia, numeric
 from .definite import SETTINGS as PROOFS
 from .embedding import motion_terms, rotation_of, sign_cases
 from .problem import Problem
+from .responses import Amplitudes, Modes, bounds_within
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How responses, and what is left over, are bounded; none of these numbers decides what is proved."""
+    """How what a linear loop leaves out is bounded; it does not decide what is proved."""
 
-    first_piece: float = 0.05  # of the time in which the fastest mode changes: the first piece of time
-    # Of the ends of a piece of time: what the first does not prove, in a third of the time, is tried again.
-    ratios: tuple[float, ...] = (1.12, 1.08, 1.04)
-    refinement: int = 4  # pieces of what a push does later, in one of these
-    last_time_constants: float = 20.0  # slowest time constants, after which one bound serves for all time
-    decay_share: float = 0.02  # part of the slowest mode's rate at which everything dies out at last
-    angle_cuts: int = (
-        4  # of each angle's range, in which bounds on derivatives of what is left over are taken
-    )
+    angle_cuts: int = 4  # of each angle's range, in which bounds on derivatives are taken
 
 
 SETTINGS = MotionSettings()
-
-
-# --- responses of a linear loop --------------------------------------------------------------------
-class Modes(NamedTuple):
-    """z = T x with x_dot = L x, L in blocks [[-s, w], [-w, -s]] or -s; `residual` is |A - T L T^-1|."""
-
-    T: Interval
-    inverse: Interval
-    block_starts: Array  # first place of each block
-    rates: Array  # s - i w, by block, w zero where it has one row
-    residual: Array
-
-
-def modes(A: Interval) -> Modes:
-    """The modes of a loop, with a bound on what they miss of it.
-
-    Raises
-    ------
-    UndertowError
-        If the loop is not stable, or its modes are too close to one another.
-    """
-    values, vectors = np.linalg.eig(A.middle)
-    columns: list[Array] = []
-    block_starts, rates = [], []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value.imag < 0:
-            continue
-        block_starts.append(len(columns))
-        rates.append(complex(-value.real, -value.imag))
-        columns += [vector.real, vector.imag] if value.imag > 0 else [vector.real]
-    if min(r.real for r in rates) <= 0:
-        raise UndertowError("the loop at rest is not stable at every attitude")
-    T = enclose(np.array(columns).T)
-    inverse = _inverse(T)
-    block = np.zeros(A.lo.shape)
-    for row, rate in zip(block_starts, rates, strict=True):
-        s, w = rate.real, -rate.imag
-        size = 2 if w else 1
-        block[row : row + size, row : row + size] = [[-s, w], [-w, -s]] if w else -s
-    residual = (A - T @ enclose(block) @ inverse).magnitude
-    return Modes(T, inverse, np.array(block_starts), np.array(rates), residual)
-
-
-def _inverse(T: Interval) -> Interval:
-    """The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one."""
-    near = np.linalg.inv(T.lo)
-    n = len(near)
-    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
-    if not left < 0.5:
-        raise UndertowError("modes of the loop are too close to one another for bounds in time")
-    radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
-    return Interval(near - radius, near + radius)
-
-
-class Kernels(NamedTuple):
-    """Integrals over time of bounds, constant by piece, on |responses|."""
-
-    times: Array
-    integral: Array  # up to each time, (times, ...)
-    weighted: Array  # over all time with a slow growth beside the response
-
-    def up_to(self, lags: Array) -> Array:
-        """The integrals up to other times, (lags, ...)."""
-        after = np.clip(np.searchsorted(self.times, lags), 1, len(self.times) - 1)
-        start, end = self.times[after - 1], self.times[after]
-        share = np.clip((lags - start) / (end - start), 0.0, 1.0)
-        low, high = self.integral[after - 1], self.integral[after]
-        return np.asarray(low + share.reshape(-1, *[1] * (low.ndim - 1)) * (high - low))
-
-
-class Responses:
-    """Responses of signals (rows on z) to pushes of unit impulse on each state, piece by piece of time."""
-
-    def __init__(self, modes: Modes, rows: Array, times: Array) -> None:
-        self.modes, self.times = modes, times
-        left, right = enclose(rows) @ modes.T, modes.inverse
-        first, pair = modes.block_starts, modes.rates.imag != 0
-        second = np.where(pair, first + 1, first)
-
-        def product(i: Array, j: Array) -> Interval:
-            return left.T[i][:, :, None] * right[j][:, None]
-
-        cosine = product(first, first) + product(second, second) * pair[:, None, None].astype(float)
-        sine = (product(first, second) - product(second, first)) * pair[:, None, None].astype(float)
-        self.amplitude = cosine.middle - 1j * sine.middle  # (modes, signals, states)
-        self.magnitude = (np.abs(self.amplitude) + cosine.radius + sine.radius) * (1 + PROOFS.room)
-        self.radius = cosine.radius + sine.radius + PROOFS.level * self.magnitude
-
-    @property
-    def _exponents(self) -> Array:
-        return np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag)
-
-    @property
-    def envelope(self) -> Array:
-        """Bound on each response at any time, times the decay of the slowest mode, (signals, states)."""
-        return np.asarray(self.magnitude.sum(axis=0))
-
-    def kernels(self, signals: Index, states: Index) -> Kernels:
-        """The integrals over time of some |responses|."""
-        within, widths = self.pieces(signals, states), np.diff(self.times)
-        slowest = self.modes.rates.real.min()
-        growth = np.exp(SETTINGS.decay_share * slowest * self.times)
-        rest = within[:, -1:] / ((1 - SETTINGS.decay_share) * slowest)
-        integral = np.cumsum(np.insert(within[:, :-1] * widths, 0, 0.0, axis=1), axis=1)
-        weighted = (within[:, :-1] * widths) @ growth[1:] + rest[:, 0] * growth[-1]
-        return Kernels(self.times, integral.T, weighted * (1 + PROOFS.level))
-
-    def pieces(self, signals: Index, states: Index) -> Array:
-        """Bounds on some responses in each piece of time, the last of which has no end, (pairs, pieces)."""
-        amplitudes = Amplitudes(
-            *(m[:, signals, states].T for m in (self.amplitude, self.magnitude, self.radius))
-        )
-        return bounds_within(amplitudes, self._exponents, self.times)
-
-
-class Amplitudes(NamedTuple):
-    """Of each exponential in a sum: a number, a bound on its magnitude, and how much it may be off."""
-
-    value: Array
-    magnitude: Array
-    radius: Array
-
-
-def bounds_within(
-    amplitudes: Amplitudes, exponents: Array, times: Array, growing: Amplitudes | None = None
-) -> Array:
-    """Bounds on |Re sum of a e^(exponent t)| in each piece of time, the last without end, (rows, pieces).
-
-    With `growing` the sum is of (a + t b) e^(exponent t); then the last piece has to begin after the slowest
-    time.
-    """
-    count, rate = len(times), np.abs(exponents)[:, None]
-    decay, angle = np.exp(np.outer(exponents.real, times)), np.outer(exponents.imag, times)
-    waves = np.concatenate([decay * np.cos(angle), -decay * np.sin(angle)])
-    # Both bounds in one product of matrices.
-    both = amplitudes.magnitude @ np.concatenate([decay, rate**2 * decay], axis=1)
-    value, radius = _parts(amplitudes.value) @ waves, amplitudes.radius @ decay
-    envelope, curvature = both[:, :count], both[:, count:]
-    if growing is not None:
-        later = np.append(times[1:], times[-1])
-        both = growing.magnitude @ np.concatenate([decay * later, rate * decay * (rate * later + 2)], axis=1)
-        value, radius = (
-            value + _parts(growing.value) @ (waves * times),
-            radius + growing.radius @ (decay * times),
-        )
-        envelope, curvature = envelope + both[:, :count], curvature + both[:, count:]
-    at = np.abs(value) + radius
-    between_times = np.maximum(at[:, :-1], at[:, 1:]) + curvature[:, :-1] * np.diff(times) ** 2 / 8
-    found = np.concatenate([np.minimum(between_times, envelope[:, :-1]), envelope[:, -1:]], axis=1)
-    return np.asarray(found * (1 + PROOFS.level))
-
-
-def _parts(values: Array) -> Array:
-    """Real parts beside imaginary ones."""
-    return np.concatenate([values.real, values.imag], axis=-1)
-
-
-def time_grid(rates: Array, ratio: float, refinement: int = 1, until: float = 0.0) -> Array:
-    """Ends of the pieces of time for the modes of a loop, s, the last not before `until`."""
-    first, last = (
-        SETTINGS.first_piece / refinement / np.abs(rates).max(),
-        max(SETTINGS.last_time_constants / rates.real.min(), until),
-    )
-    ratio **= 1 / refinement
-    # As wide as the first one while that is wider than by the ratio.
-    steady = np.arange(0.0, first / (ratio - 1), first)
-    count = int(np.ceil(np.log(last / steady[-1]) / np.log(ratio))) + 1
-    return np.concatenate([steady, steady[-1] * ratio ** np.arange(1, max(count, 2))])
 
 
 # --- of second order in the start, of first order in the heading --------------------------------
@@ -381,10 +206,8 @@ def second_order_motion(
 def _signals(rows: Array, Z: Array, coefficient: Array, Y: Array, exponents: Array, times: Array) -> Array:
     """Bounds on rows on z_2 for each pair of starts of one, (pairs, signals, pieces)."""
     decaying = Y.swapaxes(0, 1).swapaxes(1, 2)  # (pairs, states, m)
-    sizes, decaying_abs = (
-        np.abs(rows) @ np.abs(Z).T,
-        np.abs(rows) @ np.abs(decaying),
-    )  # (signals, l), (pairs, signals, m)
+    sizes = np.abs(rows) @ np.abs(Z).T  # (signals, l)
+    decaying_abs = np.abs(rows) @ np.abs(decaying)  # (pairs, signals, m)
     weights = np.abs(coefficient).T
     total = weights @ sizes.T + decaying_abs.sum(axis=-1)
     # What hardly matters to a signal is not followed in time.
@@ -497,9 +320,7 @@ class PoseLoop:
         self.angle_indices = [self.names.index(a) for a in self.angles]
         self.plane = [self.names.index(c) for c in ("x", "y")] if {"x", "y", "psi"} <= set(self.names) else []
         self.forces = self._forces()
-        rotation_of(
-            self.plant
-        )  # inertia that is the same for all translations is not turned (`_isotropic_part`)
+        rotation_of(self.plant)  # else inertia equal in all translations would turn, too (`_isotropic_part`)
         if self.plant.J.xreplace(dict.fromkeys(map(symbol, ANGLES), sm.Integer(0))) != sm.eye(self.n):
             raise UndertowError(
                 "pose rates are not velocities on an even keel: no bounds in time are searched for"
@@ -518,16 +339,14 @@ class PoseLoop:
             key = (i, *(p + (k == j) for k, p in enumerate(powers)))
             products[key] = products.get(key, 0.0) + value
         for (i, *velocity_powers), value in products.items():
-            signed, velocities = (
-                any(velocity_powers[n:]),
-                [k for k in range(2 * n) for _ in range(velocity_powers[k])],
-            )
+            signed = any(velocity_powers[n:])
+            velocities = [k for k in range(2 * n) for _ in range(velocity_powers[k])]
             j, *rest = [k % n for k in velocities]
-            system_matrix, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
+            linear, square = (found.D_signs, found.Q_signs) if signed else (found.D, found.Q)
             for a, b in [(j, *rest), (*rest, j)] if rest else []:
                 square[i, a, b] += (abs(value) if signed else value) / 2
             if not rest:
-                system_matrix[i, j] += abs(value) if signed else value
+                linear[i, j] += abs(value) if signed else value
         return found
 
     @cached_property
@@ -610,10 +429,8 @@ class PoseLoop:
 
         With a second side where commands of a motion and of its mirror image differ and both are meant.
         """
-        rows, mirror = (
-            np.hstack([self.commands.force_to_commands, self.restoring_rows]),
-            np.tile(self._mirror_signs, 2),
-        )
+        rows = np.hstack([self.commands.B_inverse, self.restoring_rows])
+        mirror = np.tile(self._mirror_signs, 2)
         mixed = rows[:, mirror > 0].any(axis=1) & rows[:, mirror < 0].any(axis=1)
         both = np.stack([rows, rows * mirror] if self.mirror_symmetric and mixed.any() else [rows])
         return both[..., : self.n], both[..., self.n :]
@@ -644,11 +461,8 @@ class PoseLoop:
 
     def derivatives(self, caps: Array) -> Derivatives:
         """The bounds for angles up to these, rad, shape (caps, angles)."""
-        at, level, count = (
-            self._kinematics(caps, SETTINGS.angle_cuts),
-            self._kinematics(0 * caps[:1], 1),
-            range(len(self.angles)),
-        )
+        at, level = self._kinematics(caps, SETTINGS.angle_cuts), self._kinematics(0 * caps[:1], 1)
+        count = range(len(self.angles))
         W = self._derivatives(level, at, "J", self.inverse, len(caps))
         P = self._derivatives(level, at, "i", self.inverse @ self.forces.D, len(caps))
         slopes = ([_largest(at[f"{m}{a}"].magnitude[:, 0], len(caps)) for a in count] for m in "Ji")

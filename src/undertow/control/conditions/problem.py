@@ -84,12 +84,12 @@ class SignSet:
 
 def sign_sets(plant: Plant) -> list[SignSet]:
     """All sign sets of a plant: all forward and all backward first, then the mixed ones."""
-    combinations = [
+    cases = [
         dict(zip(plant.reversing, w, strict=True)) for w in product((1, -1), repeat=len(plant.reversing))
     ]
-    combinations.sort(key=lambda signs: len(set(signs.values())) > 1)
+    cases.sort(key=lambda signs: len(set(signs.values())) > 1)
     at_rest = _at_rest(plant)
-    found = [_sign_set(plant, signs, *at_rest) for signs in combinations]
+    found = [_sign_set(plant, signs, *at_rest) for signs in cases]
     for sign_set in found:
         _check(sign_set, plant)
     return found
@@ -322,10 +322,9 @@ class Problem:
     @cached_property
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
-        if not self.heading_matters:
-            return [(0.0, inverse_of(self.attitudes.at({})))]
-        degrees = map(float, range(0, 180, 10))
-        return [(d, inverse_of(self.attitudes.at({"psi": float(np.radians(d))}))) for d in degrees]
+        degrees = map(float, range(0, 180, 10) if self.heading_matters else [0])
+        inverses = ((d, self.attitudes.at({"psi": float(np.radians(d))})) for d in degrees)
+        return [(d, np.asarray(np.linalg.inv(inverse), dtype=float)) for d, inverse in inverses]
 
     @property
     def channels(self) -> list[tuple[int, int, str]]:
@@ -443,7 +442,7 @@ class Problem:
                 return np.min([self._margins_at(condition, signs, inverse, iota) for signs in group], axis=0)
 
             certificate = margin_bound(margins, self.attitudes, self.yaw_invariant, bool(condition.uses))
-            if certificate.least_found > 0:
+            if certificate.least > 0:
                 return certificate.bound > 0
         return False
 
@@ -534,11 +533,6 @@ def distinct_for(condition: Condition, sets: Sequence[SignSet]) -> list[SignSet]
         )
         found.setdefault(used, signs)
     return list(found.values())
-
-
-def inverse_of(matrix: Array) -> Array:
-    """Inverse of a matrix of numbers."""
-    return np.asarray(np.linalg.inv(matrix), dtype=float)
 
 
 ALL, SOME, NOMINAL, OPEN = "holds for all", "fails for some", "fails at the values of the file", "undecided"

@@ -31,21 +31,16 @@ class QuadraticSettings:
     # Room in every bound of the program, relative: what the solver leaves and what boxes of angles add, which
     # are halved until they add less.
     slack: float = 0.01
-    command_slack: float = (
-        0.05  # room in what is stated, and proved, of commands below their limits, relative
-    )
-    sectors: int = (
-        6  # where A depends on the heading: a V for each of so many ranges of set-points in half a turn
-    )
+    command_slack: float = 0.05  # room in what is stated of commands below their limits, relative
+    # Where A depends on the heading: a V for each of so many ranges of set-points in half a turn.
+    sectors: int = 6
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
     # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
     # fewer, as this power of the number of rows: with their ends, those of 18 rows take 25 times as long.
     max_matrices: int = 100_000
     matrices_power: float = 8.0
-    full_proof_factor: int = (
-        4  # how many times the matrices of what the start needs the proof of the whole may look at
-    )
+    full_proof_factor: int = 4  # matrices of the proof of the whole, times those of what the start needs
     batch: int = 256  # boxes of attitudes and signs at a time: memory
     attitudes: tuple[int, ...] = (1, 7, 3, 3)  # in the program along each angle, by the number of angles
     sampled_corners: int = 512  # attitudes and signs whose worst corner a round of the program looks for
@@ -53,17 +48,13 @@ class QuadraticSettings:
     alternations: int = 4  # turns between the corner and its eigenvector
     # Matrix inequalities of 12 rows that the solver is given in one search: seconds. Of larger ones there are
     # fewer, as this power of the number of rows.
-    max_inequalities: int = 3000
-    inequalities_power: float = 7.0
+    max_lmis: int = 3000
+    lmi_power: float = 7.0
     rounds: int = 12  # of the program, each with the worst corners of the last one added
     added_corners: int = 8  # how many
     inactive_dual: float = 1e-3  # corners with a dual below this part of the largest one are left out again
-    lowest_start_level: float = (
-        0.5  # of the start's level, which is not lowered further: V has room for other things
-    )
-    level_tolerance: float = (
-        0.02  # of the start's level from a round to the next, below which the level is known
-    )
+    lowest_start_level: float = 0.5  # the start's level is not lowered further: V has room for other things
+    level_tolerance: float = 0.02  # rise of the start's level in a round below which it is known
     max_speed_boxes: int = 40  # boxes of speeds that are tried
     first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
@@ -119,7 +110,7 @@ class SpeedBox(NamedTuple):
     tilts: dict[str, float]  # roll and pitch, and the error of the heading where A depends on it, rad
 
 
-def remaining_thrust(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
+def spare_thrust(problem: Problem, commands: Commands, tilts: Mapping[str, float]) -> Array:
     """What the limits leave beside the weight, within the tilts."""
     remaining = commands.limits - commands.at_rest(problem.attitudes.boxes(dict(tilts)))
     if len(remaining) and remaining.min() <= 0:
@@ -191,7 +182,7 @@ class Program:
 
     # --- the program ----------------------------------------------------------------------------
     @property
-    def _block_diagonal(self) -> bool:
+    def _blockwise(self) -> bool:
         """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
         return self.search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
 
@@ -199,9 +190,7 @@ class Program:
     def basis(self) -> Array:
         """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
         n, size = self.loop.n, self.loop.size
-        pairs = [
-            (i, j) for i in range(size) for j in range(i, size) if not self._block_diagonal or i % n == j % n
-        ]
+        pairs = [(i, j) for i in range(size) for j in range(i, size) if not self._blockwise or i % n == j % n]
         found = np.zeros((len(pairs), size, size))
         for k, (i, j) in enumerate(pairs):
             found[k, i, j] = found[k, j, i] = 1.0
@@ -334,7 +323,7 @@ class Program:
         level = np.zeros(k + g + m)
         level[k : k + g] = [float(np.sum(start[group][:1] ** 2)) for group in groups]
         rows = self._state_bounds()
-        inequalities = self._decrease_inequalities(keys, B, C)
+        inequalities = self._decreases(keys, B, C)
         inequalities += [LMI(-1e-6 * np.eye(size), self._coefficients(self.basis))]
         inequalities += [self._row_inequality(r.states @ T, r.bound) for r in rows]
         errors = slice(size - 2 * n, size - n)
@@ -365,7 +354,7 @@ class Program:
         }
         return Proposal(P, free, solution.x[k : k + g], float(level @ solution.x), slopes, active)
 
-    def _decrease_inequalities(self, keys: Sequence[Key], B: Array, C: Array) -> list[LMI]:
+    def _decreases(self, keys: Sequence[Key], B: Array, C: Array) -> list[LMI]:
         """V falls at these corners."""
         found, shift = [], self.rate * np.eye(self.loop.size)
         for key in keys:
@@ -424,10 +413,7 @@ class Program:
                 for i, (row, bound) in enumerate(zip(speeds, self.bounds.speeds, strict=True))
             ]
         for commands in self.command_rows:
-            found += [
-                StateBound(row, remaining_thrust)
-                for row, remaining_thrust in zip(commands, self.remaining_thrust, strict=True)
-            ]
+            found += [StateBound(row, left) for row, left in zip(commands, self.spare_thrust, strict=True)]
         distinct: dict[bytes, StateBound] = {}
         for row in found:
             distinct.setdefault(np.round(self._canonical_row(row.states) / row.bound, 9).tobytes(), row)
@@ -435,7 +421,7 @@ class Program:
 
     def _canonical_row(self, row: Array) -> Array:
         """The row with its first number positive, and that of each axis where this leaves V as it is."""
-        columns = row.reshape(-1, self.loop.n) if self._block_diagonal else row[:, None]
+        columns = row.reshape(-1, self.loop.n) if self._blockwise else row[:, None]
         first = np.argmax(columns != 0, axis=0)
         signs = np.where(columns[first, np.arange(len(first))] < 0, -1.0, 1.0)
         return np.asarray((columns * signs).ravel() + 0.0)  # no zero with a sign
@@ -457,9 +443,9 @@ class Program:
         return self.search.commands
 
     @cached_property
-    def remaining_thrust(self) -> Array:
+    def spare_thrust(self) -> Array:
         """What the limits leave beside the weight, within the tilts."""
-        return remaining_thrust(self.search.problem, self.commands, self.bounds.tilts)
+        return spare_thrust(self.search.problem, self.commands, self.bounds.tilts)
 
     def fixed_rows(self) -> Iterator[tuple[Array, float]]:
         """Tilts and half a turn."""

@@ -15,10 +15,10 @@ from undertow.typing import Array, Flags
 from .attitude import Interval, count_of, enclose, plus_minus
 from .commands import Commands
 from .definite import SETTINGS as PROOFS
-from .definite import MatrixBudget, bounded_on_level_set, sums_positive
+from .definite import MatrixBudget, bounded, sums_positive
 from .embedding import Boxes, Embedding, corners_of, halved, proved_positive_definite
 from .problem import Problem
-from .program import SETTINGS, Key, Program, Proposal, SpeedBox, remaining_thrust
+from .program import SETTINGS, Key, Program, Proposal, SpeedBox, spare_thrust
 from .result import Quadratic, merge_headings
 
 _TOO_LONG = "no quadratic V was found within the time that the search may take"
@@ -103,7 +103,7 @@ class QuadraticSearch:
     def _start_tilts(self) -> dict[str, float]:
         """What is bounded of the start: roll, pitch, and the heading where A depends on it."""
         starts = self._angles(self.with_floor(self.start))
-        return {a: self._clipped_tilt(a, e) for a, e in starts.items()}
+        return {a: self._clipped(a, e) for a, e in starts.items()}
 
     # --- boxes of speeds --------------------------------------------------------------------------
     def run(self) -> Quadratic | None:
@@ -167,16 +167,12 @@ class QuadraticSearch:
     def count_inequalities(self, inequalities: int) -> None:
         """Count what the solver is given."""
         self.inequalities += inequalities
-        if self.inequalities > SETTINGS.max_inequalities * SETTINGS.share(
-            self.loop.size, SETTINGS.inequalities_power
-        ):
+        if self.inequalities > SETTINGS.max_lmis * SETTINGS.share(self.loop.size, SETTINGS.lmi_power):
             raise UndertowError(_TOO_LONG)
 
     def _shrunk(self, bounds: SpeedBox) -> SpeedBox:
         least = self._angles(self.with_floor(self.start) * (1 + SETTINGS.slack))
-        tilts = {
-            a: max(SETTINGS.shrink * t, self._clipped_tilt(a, least[a])) for a, t in bounds.tilts.items()
-        }
+        tilts = {a: max(SETTINGS.shrink * t, self._clipped(a, least[a])) for a, t in bounds.tilts.items()}
         return SpeedBox(SETTINGS.shrink * bounds.speeds, tilts)
 
     def _stepped(self, best: _Step, change: Array, radius: float) -> SpeedBox:
@@ -184,7 +180,7 @@ class QuadraticSearch:
         assert best.found is not None
         bounds, asked = best.bounds, best.program.required_box(best.found, SETTINGS.growth - 1).tilts
         most = {a: v * float(np.exp(radius)) for a, v in bounds.tilts.items()}
-        tilts = {a: self._clipped_tilt(a, min(v, most[a])) for a, v in asked.items()}
+        tilts = {a: self._clipped(a, min(v, most[a])) for a, v in asked.items()}
         return SpeedBox(bounds.speeds * np.exp(change), self._holdable_tilts(tilts))
 
     def _holdable_tilts(self, tilts: dict[str, float]) -> dict[str, float]:
@@ -192,7 +188,7 @@ class QuadraticSearch:
         least = {a: e for a, e in self._start_tilts.items() if a != "psi"}
         while any(tilts[a] > e for a, e in least.items()):
             with suppress(UndertowError):
-                remaining_thrust(self.problem, self.commands, tilts)
+                spare_thrust(self.problem, self.commands, tilts)
                 return tilts
             tilts = tilts | {a: max(SETTINGS.shrink * tilts[a], e) for a, e in least.items()}
         return tilts
@@ -201,9 +197,9 @@ class QuadraticSearch:
         """Refuse a start at which the law asks for more than a thruster has, on an even keel."""
         if not len(self.commands.limits):
             return
-        remaining_thrust(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
+        spare_thrust(self.problem, self.commands, self._start_tilts)  # refuses where nothing is
         level = {a: enclose(np.zeros(1)) for a in self.loop.angles}
-        springs = np.abs(self.commands.force_to_commands) @ (self.problem.values["K_P"] * self.start)
+        springs = np.abs(self.commands.B_inverse) @ (self.problem.values["K_P"] * self.start)
         rows = self.loop.commands_of(self.commands, level).middle[0]
         own = rows[:, self.loop.size - 2 * self.loop.n : self.loop.size - self.loop.n]
         asked = np.minimum(np.max(np.abs(own) * self.start, axis=1), springs) + self.commands.steady()
@@ -223,15 +219,15 @@ class QuadraticSearch:
         for group in self.loop.groups:
             speeds[group] = speeds[group].max()
         angles = self._angles(self.with_floor(self.start))
-        tilts = {a: self._clipped_tilt(a, SETTINGS.tilt_factor * e) for a, e in angles.items()}
+        tilts = {a: self._clipped(a, SETTINGS.tilt_factor * e) for a, e in angles.items()}
         return SpeedBox(speeds, self._holdable_tilts(tilts))
 
     def _angles(self, values: Array) -> dict[str, float]:
         pairs = zip(self.problem.coordinates, values, strict=True)
-        bounded_on_level_set = {"phi", "theta"} | ({"psi"} & set(self.loop.angles))
-        return {c: float(v) for c, v in pairs if c in bounded_on_level_set}
+        bounded = {"phi", "theta"} | ({"psi"} & set(self.loop.angles))
+        return {c: float(v) for c, v in pairs if c in bounded}
 
-    def _clipped_tilt(self, name: str, angle: float) -> float:
+    def _clipped(self, name: str, angle: float) -> float:
         return min(angle, np.pi / 2 if name == "psi" else self.problem.attitudes.tilt)
 
     def with_floor(self, values: Array) -> Array:
@@ -282,15 +278,13 @@ class Proof:
         if not (proved_positive_definite(enclose(self.P[None])) and self._fixed_rows_proved()):
             return None
         weights, start = self._start_weights()
-        if not start < 1 or not (
-            self._holds_by_halving(self._within_bounds) and self._holds_by_halving(self._decreases)
-        ):
+        if not start < 1 or not (self._everywhere(self._within_bounds) and self._everywhere(self._decreases)):
             return None
         return self._as_quadratic(weights, start)
 
     def _fixed_rows_proved(self) -> bool:
         return all(
-            bounded_on_level_set(self.P, enclose(row[None, None]), np.array([b])).all()
+            bounded(self.P, enclose(row[None, None]), np.array([b])).all()
             for row, b in self.program.fixed_rows()
         )
 
@@ -314,7 +308,7 @@ class Proof:
             root = np.sqrt(stated)
             yield stated * np.linalg.eigvalsh(own / np.outer(root, root))[-1] * (1 + PROOFS.level)
 
-    def _holds_by_halving(self, holds: Callable[[Boxes], Flags]) -> bool:
+    def _everywhere(self, holds: Callable[[Boxes], Flags]) -> bool:
         boxes = self.loop.boxes(self.program.ranges)
         self._budget = MatrixBudget(self._max_matrices)
         for _ in range(SETTINGS.halvings * max(len(boxes), 1)):
@@ -331,19 +325,17 @@ class Proof:
     def _within_bounds(self, boxes: Boxes) -> Flags:
         """Speeds and commands, at every attitude in each box."""
         self._budget.remaining -= count_of(boxes)
-        held = bounded_on_level_set(
-            self.P, self._scaled(self.loop.speeds_of(boxes)), self.program.bounds.speeds
-        )
+        held = bounded(self.P, self._scaled(self.loop.speeds_of(boxes)), self.program.bounds.speeds)
         if len(self._command_changes):
             commands = self.loop.commands_of(self.program.commands, boxes)
-            held &= bounded_on_level_set(self.P, self._scaled(commands), self._command_changes)
+            held &= bounded(self.P, self._scaled(commands), self._command_changes)
         return held
 
     @cached_property
     def _command_changes(self) -> Array:
         """What is claimed of each command beside that at rest."""
         command_changes = self.program.command_changes(self.proposal) * (1 + SETTINGS.command_slack)
-        return np.asarray(np.minimum(command_changes, self.program.remaining_thrust))
+        return np.asarray(np.minimum(command_changes, self.program.spare_thrust))
 
     def _decreases(self, boxes: Boxes) -> Flags:
         """Whether V falls at every corner of velocities at every attitude in each box.
@@ -352,11 +344,11 @@ class Proof:
         derivative along each side h at most.
         """
         batches = -(-count_of(boxes) * self.corners.cases // SETTINGS.batch)
-        parts = np.array_split(np.arange(count_of(boxes)), min(count_of(boxes), batches))
-        some = [{a: v[p] for a, v in boxes.items()} for p in parts]
-        return np.concatenate(
-            [self._decreases_in(each) if self._budget.remaining >= 0 else _all_false(each) for each in some]
-        )
+        found = np.zeros(count_of(boxes), dtype=bool)
+        for part in np.array_split(np.arange(len(found)), min(len(found), batches)):
+            if self._budget.remaining >= 0:
+                found[part] = self._decreases_in({a: v[part] for a, v in boxes.items()})
+        return found
 
     def _decreases_in(self, boxes: Boxes) -> Flags:
         at, place = corners_of(boxes)
@@ -415,13 +407,9 @@ class Proof:
             errors=program.reach(self.proposal),
             speeds=program.bounds.speeds,
             starts=1 / np.sqrt(own),
-            commands=program.commands.limits - program.remaining_thrust + self._command_changes,
+            commands=program.commands.limits - program.spare_thrust + self._command_changes,
             start=start,
         )
-
-
-def _all_false(boxes: Boxes) -> Flags:
-    return np.zeros(count_of(boxes), dtype=bool)
 
 
 def _plus_transpose(held: Interval) -> Interval:

@@ -206,7 +206,7 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     where = f"{_velocity_range(problem, most)}; {certificate.proof}{'' if affine else _CURVED}"
     proved = affine and certificate.bound > 0
     return _row(
-        "K_V + D", "K_V + D_q(nu) ≻ 0", f"{_PD_ABOUT} {_ASSUMPTION}", certificate.least_found, proved, where
+        "K_V + D", "K_V + D_q(nu) ≻ 0", f"{_PD_ABOUT} {_ASSUMPTION}", certificate.least, proved, where
     )
 
 
@@ -226,17 +226,12 @@ def _pid_rows(problem: Problem, mission: Mission) -> Iterator[MissionRow]:
     at = f"iota = {iota:.4g} 1/s"
     about = f"{POSITIVE_CANDIDATE.about} The same with a reference."
     yield _row(
-        "V",
-        POSITIVE_CANDIDATE.matrices,
-        about,
-        positive.least_found,
-        positive.bound > 0,
-        f"{at}; {positive.proof}",
+        "V", POSITIVE_CANDIDATE.matrices, about, positive.least, positive.bound > 0, f"{at}; {positive.proof}"
     )
     found = decrease.certificate(iota)
     where = f"{_velocity_range(problem, most)}; {at}; {found.proof}{'' if decrease.affine else _CURVED}"
     proved = decrease.affine and found.bound > 0
-    yield _row("V_dot", "Q(iota, nu) ≻ 0", f"{_PID_ABOUT} {_ASSUMPTION}", found.least_found, proved, where)
+    yield _row("V_dot", "Q(iota, nu) ≻ 0", f"{_PID_ABOUT} {_ASSUMPTION}", found.least, proved, where)
 
 
 class DecreaseCondition:
@@ -384,7 +379,7 @@ def _command_row(gains: GainSet, reference: TimedReference) -> MissionRow:
     """The part of the limit of each thruster that the reference itself asks for, with no error."""
     controller = Controller(_with_boundary_layer(gains), reference)
     limits, profile = controller.allocation.limits, reference.profile
-    share = controller.allocation.force_to_commands
+    share = controller.allocation.B_inverse
     t = np.unique(np.concatenate([np.linspace(0, profile.duration, TRACKING.samples), profile.knots]))
     force = _reference_force(controller, profile.at(t), profile.at(t, 1), t)
     commands = np.abs(force @ share.T) + _jump_commands(gains, profile.at(t), share)

@@ -2,8 +2,8 @@
 
 By variation of constants z(t) = e^{At} z(0) + integral of e^{A(t-s)} g(z(s)) ds. Bounds B on the signals of
 z bound g, and this integral; where what comes out is below B, no motion leaves B. What g comes to at second
-order in the start is worked out (`second`), and only what is beyond is bounded, by integrals of |responses|
-(`responses`).
+order in the start is worked out (`second_order_motion`), and only what is beyond is bounded, by integrals of
+|responses|.
 """
 
 from __future__ import annotations
@@ -22,22 +22,18 @@ from undertow.typing import Array, Flags
 
 from .attitude import enclose, plus_minus
 from .definite import SETTINGS as PROOFS
-from .motion import SETTINGS as KERNELS
 from .motion import (
     Derivatives,
     DrivenMotion,
-    Kernels,
-    Modes,
     PoseLoop,
     QuadraticForm,
-    Responses,
     StartBox,
     heading_motion,
-    modes,
     second_order_motion,
-    time_grid,
 )
 from .problem import Problem, Span
+from .responses import SETTINGS as KERNELS
+from .responses import Kernels, Modes, Responses, modes, time_grid
 from .result import Transient
 
 
@@ -173,10 +169,8 @@ class PushBounds:
         self.inverse, self.D_signs, self.Q, self.Q_signs = self.motion.magnitudes
         self.unit = np.eye(self.motion.n)
         self.half = np.array([s.half for s in sectors])[:, None]
-        self.residual, self.rounded = (
-            np.array([s.residual for s in sectors]),
-            np.array([s.rounded for s in sectors]),
-        )
+        self.residual = np.array([s.residual for s in sectors])
+        self.rounded = np.array([s.rounded for s in sectors])
         self.W, self.P, self.Gamma = (np.abs(m) for m in (self.slopes.W, self.slopes.P, self.slopes.Gamma))
 
     def angles(self, B: Array) -> Array:
@@ -196,9 +190,7 @@ class PushBounds:
         nonlinear = _sector_sums(products, B[:, at.second].reshape(len(B), -1, n))
         nonlinear = nonlinear + _matvec(W_error, B[:, at.force]) + _matvec(P_error, v)
         changed = (
-            _weighted_sum(angles, self.W)
-            + _weighted_sum(products, np.abs(slopes.W_second)[first, second])
-            + W_error
+            _weighted(angles, self.W) + _weighted(products, np.abs(slopes.W_second)[first, second]) + W_error
         )
         nonlinear = nonlinear + _matvec(changed, turned)
         J, Ji = (_sector_sums(angles, m[cap]) + self.unit for m in (slopes.J, slopes.J_inverse))
@@ -241,13 +233,13 @@ class PushBounds:
 
     def speeds(self, B: Array) -> Array:
         """Bound on the body velocities, shape (pieces, sectors, n)."""
-        Ji = self.unit + _weighted_sum(self.angles(B), self.slopes.J_inverse[-1])
+        Ji = self.unit + _weighted(self.angles(B), self.slopes.J_inverse[-1])
         return _matvec(Ji, B[..., self.at.rate])
 
     def commands(self, B: Array) -> Array:
         """Bound on each limited command, shape (pieces, sectors, commands)."""
-        at, share = self.at, np.abs(self.motion.commands.force_to_commands)
-        turned = share @ np.swapaxes(_weighted_sum(self.angles(B), self.slopes.J[-1]), -1, -2)
+        at, share = self.at, np.abs(self.motion.commands.B_inverse)
+        turned = share @ np.swapaxes(_weighted(self.angles(B), self.slopes.J[-1]), -1, -2)
         force = B[..., at.force] + _matvec(self.rounded, B[..., at.z])
         body = _matvec(turned + PROOFS.room * share, force) + _matvec(
             turned + share, self._heading_error(B, B)
@@ -286,7 +278,7 @@ def _sector_sums(weights: Array, matrices: Array) -> Array:
     return np.asarray(found.reshape(len(weights), *shape))
 
 
-def _weighted_sum(weights: Array, matrices: Array) -> Array:
+def _weighted(weights: Array, matrices: Array) -> Array:
     """Sums of the same matrices by weights along the last axis."""
     return np.asarray(np.tensordot(weights, matrices, 1))
 
@@ -305,9 +297,8 @@ class Tubes:
         driven = [s.driven(self.times) for s in sectors]
         decay = np.exp(-self.slowest * self.times)[:, None, None]
         initial_defect = np.array([sum(d.initial_defect for d in own) for own in driven])
-        self.first = np.array([s.start_response(of) for s, of in zip(sectors, coarse, strict=True)]).swapaxes(
-            0, 1
-        )
+        started = [s.start_response(responses) for s, responses in zip(sectors, coarse, strict=True)]
+        self.first = np.array(started).swapaxes(0, 1)
         own = [
             np.array([sum(getattr(d, name) for d in ds) for ds in driven]) for name in ("signals", "defect")
         ]

@@ -23,7 +23,7 @@ from .reference import (
     Profile,
     Reference,
     TimedReference,
-    fitted_to_limits,
+    fitted,
     spline,
     straight_legs,
     waypoint_times,
@@ -186,7 +186,7 @@ class Mission:
         first = waypoint_times(self.points, np.zeros(len(self.points)), self.limits)
         headings = self._tangent_headings(first)
         times = waypoint_times(self.points, np.unwrap(headings), self.limits)
-        return fitted_to_limits(spline(names, self._poses(names, self.points, headings), times), self.limits)
+        return fitted(spline(names, self._poses(names, self.points, headings), times), self.limits)
 
     def _tangent_headings(self, times: np.ndarray) -> np.ndarray:
         """Heading at every way-point: as given, else that of the curve; the ends have that of their chord."""

@@ -266,7 +266,7 @@ def spline(names: tuple[str, ...], poses: np.ndarray, times: np.ndarray) -> Prof
     return _checked(Profile(names, knots - knots[0], coefficients, np.asarray(poses[-1])))
 
 
-def fitted_to_limits(profile: Profile, limits: Limits) -> Profile:
+def fitted(profile: Profile, limits: Limits) -> Profile:
     """The path of a profile, uniformly scaled in time until it just meets its limits."""
     factors = [0.0]
     for angles in (False, True):

@@ -141,11 +141,11 @@ def _modes(a: Array, names: list[str]) -> list[tuple[complex, tuple[str, ...]]]:
             continue
         order = sorted(range(len(names)), key=lambda i: -participation[i, k])
         states = tuple(names[i] for i in order if participation[i, k] > SETTINGS.share)
-        result.append((_without_rounding(complex(pole), scale), states))
+        result.append((_rounded_off(complex(pole), scale), states))
     return result
 
 
-def _without_rounding(pole: complex, scale: float) -> complex:
+def _rounded_off(pole: complex, scale: float) -> complex:
     """A pole without the noise of rounding."""
     real, imaginary = (0.0 if abs(v) < SETTINGS.rank * scale / 10 else v for v in (pole.real, pole.imag))
     return complex(real, imaginary)
@@ -176,22 +176,20 @@ def observability(system: ct.StateSpace) -> Subspace:
 
 def _subspace(system: ct.StateSpace, a: Array, b: Array) -> Subspace:
     names, dt = system.state_labels, sampling_time(system)
-    basis = reachable_basis(a, b)
+    basis = reachable(a, b)
     others = np.eye(len(names)) - basis @ basis.T
     missing = [
         n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reach_tolerance
     ]
     mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
     horizon = _horizon(system)
-    gramian_of_range = (
-        sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
-    )
-    singular = np.linalg.svd(gramian_of_range, compute_uv=False)
+    W = sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
+    singular = np.linalg.svd(W, compute_uv=False)
     mixed = tuple(n for n in mixed_states if n not in missing)
     return Subspace(basis.shape[1], len(names), tuple(missing), mixed, horizon, tuple(map(float, singular)))
 
 
-def reachable_basis(a: Array, b: Array) -> Array:
+def reachable(a: Array, b: Array) -> Array:
     """An orthonormal basis of the states that inputs can reach, shape (n, rank)."""
     scale = np.linalg.norm(a) or 1.0
     new = basis = _range_basis(b / (np.linalg.norm(b) or 1.0))
@@ -245,8 +243,8 @@ def sampled_gramian(a: Array, b: Array, samples: float) -> Array:
 def minimal(system: ct.StateSpace) -> ct.StateSpace:
     """The controllable and observable part of a system, in other states."""
     by_rate = slopes(system)
-    basis = reachable_basis(by_rate, system.B)
-    shown = basis @ reachable_basis(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
+    basis = reachable(by_rate, system.B)
+    shown = basis @ reachable(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
     return with_timebase(system, shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown, system.D)
 
 
@@ -261,7 +259,7 @@ def zeros_of(system: ct.StateSpace) -> list[complex]:
     if not system.nstates:
         return []
     found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < 1e8]
-    return sorted((_without_rounding(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
+    return sorted((_rounded_off(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
 
 
 @dataclass(frozen=True)
@@ -287,7 +285,7 @@ def margins(loop: ct.StateSpace) -> Margins:
     if not loop.nstates or not np.any(loop.B):
         return _NO_LOOP
     gains, phases, distances, crossings = _crossings(loop)
-    stable = _closed_loop_stable(loop)
+    stable = _closes_stably(loop)
     low, high = SETTINGS.factors
     factors = [float(g) for g in gains if low < abs(g) < high]
     delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
@@ -316,7 +314,7 @@ def _crossings(loop: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
     return gains, phases, np.append(distances, abs(1 + end)), crossings
 
 
-def _closed_loop_stable(loop: ct.StateSpace) -> bool:
+def _closes_stably(loop: ct.StateSpace) -> bool:
     closed = ct.feedback(loop, np.eye(loop.noutputs))
     return all(_rate(complex(p), sampling_time(loop)).real <= SETTINGS.at_zero for p in closed.poles())
 
@@ -331,7 +329,7 @@ def multiloop_disk_margin(loop: ct.StateSpace) -> float:
         raise UndertowError(
             f"the disk margin of {loop.ninputs} loops at once needs slycot: pip install 'undertow[slycot]'"
         )
-    if not _closed_loop_stable(loop):
+    if not _closes_stably(loop):
         return 0.0
     return _least_disk(loop, lambda omega: float(multiloop_disks(loop, np.array([omega]))[0]))
 

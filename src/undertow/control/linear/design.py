@@ -175,12 +175,9 @@ class _Channels:
         dofs = [vehicle.degrees_of_freedom[i] for i in self.rows]
         self._error = _positive("error", error, self.coordinates)
         self._force = _positive("force", force, dofs)
-        kept = [plant.state_labels.index(n) for n in (*self.coordinates, *self._velocities)]
+        velocities = [vehicle.velocity_names[i] for i in self.rows]
+        kept = [plant.state_labels.index(n) for n in (*self.coordinates, *velocities)]
         self._a, self._b = plant.A[np.ix_(kept, kept)], plant.B[kept]
-
-    @property
-    def _velocities(self) -> list[str]:
-        return [self.vehicle.velocity_names[i] for i in self.rows]
 
     def gains(self, law: str, integral_time: float, name: str) -> tuple[GainSet, float]:
         """The diagonal of the optimal gain as a gain set, and the neglected share."""

@@ -29,7 +29,7 @@ _STEP = 1e-3  # of finite differences, standard deviations
 
 
 @dataclass(frozen=True)
-class ParameterCovariance:
+class Spread:
     """Uncertainty of parameters."""
 
     names: tuple[str, ...]  # parameters, in the order of the covariance
@@ -57,7 +57,7 @@ class Member:
 class Family:
     """The linear systems within the uncertainty of an identification."""
 
-    uncertainty: ParameterCovariance  # what they are drawn from
+    spread: Spread  # what they are drawn from
     members: tuple[Member, ...]  # the stated one, then corners, then draws
     refused: int  # draws that no vehicle can have (a negative mass, say) or without such a trim; redrawn
 
@@ -67,7 +67,7 @@ class Family:
         return [m for m in self.members if not m.stable]
 
 
-def parameter_covariance(vehicle: Vehicle, source: str | Path | None = None) -> ParameterCovariance:
+def spread_of(vehicle: Vehicle, source: str | Path | None = None) -> Spread:
     """Uncertainty of the parameters of a vehicle.
 
     Its stated standard deviations (sigma) count as independent. The covariance of the last fit in the history
@@ -86,7 +86,7 @@ def parameter_covariance(vehicle: Vehicle, source: str | Path | None = None) -> 
     total[len(names) :, len(names) :] = np.diag(np.square(list(used.values())))
     words = [f"covariance of the last fit for {len(names)}"] if names else []
     words += [f"stated standard deviations of {len(used)}"] if used else []
-    return ParameterCovariance((*names, *used), total, " and ".join(words) + " parameters")
+    return Spread((*names, *used), total, " and ".join(words) + " parameters")
 
 
 def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, ...], Array]:
@@ -130,32 +130,24 @@ def family(
         Of the draws.
     """
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
-    factory, uncertainty = (
-        _MemberFactory(vehicle, found, gains, observer, pade),
-        parameter_covariance(vehicle, source),
-    )
+    factory, spread = (_MemberFactory(vehicle, found, gains, observer, pade), spread_of(vehicle, source))
     stated = factory.member("stated", np.array([]), ())
     if stated is None:  # no parameter differs, so the trim holds
         raise UndertowError(f"'{vehicle.name}' does not have the given trim: find it again for this vehicle")
-    corners = [
-        factory.member(name, shift, uncertainty.names)
-        for name, shift in _corners(uncertainty, factory, stated)
-    ]
+    corners = [factory.member(name, shift, spread.names) for name, shift in _corners(spread, factory, stated)]
     made = [m for m in corners if m is not None and not _equals_stated(m, stated)]
-    draws, refused = _draws(uncertainty, factory, size, np.random.default_rng(seed))
-    return Family(uncertainty, (stated, *made, *draws), refused)
+    draws, refused = _draws(spread, factory, size, np.random.default_rng(seed))
+    return Family(spread, (stated, *made, *draws), refused)
 
 
 def _draws(
-    uncertainty: ParameterCovariance, factory: _MemberFactory, size: int, random: np.random.Generator
+    spread: Spread, factory: _MemberFactory, size: int, random: np.random.Generator
 ) -> tuple[list[Member], int]:
     draws: list[Member] = []
     refused = 0
     while len(draws) < size:
-        shift = random.multivariate_normal(
-            np.zeros(len(uncertainty.names)), uncertainty.covariance, method="eigh"
-        )
-        member = factory.member(f"draw {len(draws) + 1}", shift, uncertainty.names, clip=False)
+        shift = random.multivariate_normal(np.zeros(len(spread.names)), spread.covariance, method="eigh")
+        member = factory.member(f"draw {len(draws) + 1}", shift, spread.names, clip=False)
         if member is not None:
             draws.append(member)
             continue
@@ -174,30 +166,26 @@ def _equals_stated(member: Member, stated: Member) -> bool:
     return all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
 
 
-def _corners(
-    uncertainty: ParameterCovariance, factory: _MemberFactory, stated: Member
-) -> Iterator[tuple[str, Array]]:
-    sigmas = np.sqrt(np.diag(uncertainty.covariance))
-    for i, name in enumerate(uncertainty.names):
+def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterator[tuple[str, Array]]:
+    sigmas = np.sqrt(np.diag(spread.covariance))
+    for i, name in enumerate(spread.names):
         for sign, word in ((1, "+"), (-1, "-")):
             shift = np.zeros(len(sigmas))
             shift[i] = sign * CORNER * sigmas[i]
             yield f"{name} {word} {CORNER:g} sigma", shift
-    slope = _slope_of_slowest(uncertainty, factory, stated, sigmas)
+    slope = _slope_of_slowest(spread, factory, stated, sigmas)
     for sign, word in ((1, "slowest"), (-1, "quickest")):
         if np.any(slope):
             yield f"all together, {word}", sign * CORNER * sigmas * np.sign(slope)
 
 
-def _slope_of_slowest(
-    uncertainty: ParameterCovariance, factory: _MemberFactory, stated: Member, sigmas: Array
-) -> Array:
+def _slope_of_slowest(spread: Spread, factory: _MemberFactory, stated: Member, sigmas: Array) -> Array:
     """Change of the real part of the slowest mode that is not at zero, per standard deviation."""
     slope = np.zeros(len(sigmas))
     for i in range(len(sigmas)):
         small = np.zeros(len(sigmas))
         small[i] = _STEP * sigmas[i]
-        member = factory.member("", small, uncertainty.names)
+        member = factory.member("", small, spread.names)
         slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _STEP
     return slope
 

@@ -112,12 +112,11 @@ class Analysis:
     def units(self) -> Mapping[str, str]:
         """Unit of everything that has a name."""
         own = Numeric(self.vehicle).units
-        forces = {f"force_{d}": "N" if i < 3 else "N m" for d, i in self._dof_index.items()}
+        forces = {
+            f"force_{d}": "N" if i < 3 else "N m"
+            for d, i in zip(self.vehicle.degrees_of_freedom, self.vehicle.dof_indices, strict=True)
+        }
         return own | forces | {f"{n}_ref": own[n] for n in self.vehicle.pose_names}
-
-    @property
-    def _dof_index(self) -> dict[str, int]:
-        return dict(zip(self.vehicle.degrees_of_freedom, self.vehicle.dof_indices, strict=True))
 
     def require_stable(self) -> None:
         """Refuse what grows."""
@@ -267,7 +266,7 @@ def _mode(mode: Mode) -> dict[str, Any]:
 
 def _family(found: Family) -> dict[str, Any]:
     return {
-        "from": found.uncertainty.source,
+        "from": found.spread.source,
         "refused": found.refused,
         "unstable": [m.name for m in found.unstable],
         "members": [

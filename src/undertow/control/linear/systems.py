@@ -266,7 +266,7 @@ class LawSystem:
 
     `references`, `measured`, `states` and `forces` name set-points, pose and velocity, the law's own states
     and the forces it asks for; `actuated` are the places of the degrees of freedom that commands push in;
-    `force_to_commands`, shape (nu, n), has the commands for a unit of each force, without limits.
+    `B_inverse`, shape (nu, n), has the commands for a unit of each force, without limits.
     """
 
     def __init__(self, gains: GainSet) -> None:
@@ -278,7 +278,7 @@ class LawSystem:
         self.forces = [f"force_{name}" for name in vehicle.degrees_of_freedom]
         allocation = self._controller.allocation
         self.actuated = allocation.rows
-        self.force_to_commands = allocation.force_to_commands
+        self.B_inverse = allocation.B_inverse
         self.commands = self._controller.command_names
         self._k = np.array(self._controller.gain_values())
 
@@ -512,7 +512,7 @@ class LinearLoop:
     @cached_property
     def closed(self) -> ct.StateSpace:
         """References to pose, velocity and commands."""
-        to_commands = self._system.force_to_commands
+        to_commands = self._system.B_inverse
         law = with_timebase(
             self.law, self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D
         )
@@ -525,7 +525,7 @@ class LinearLoop:
     def open_loop(self) -> ct.StateSpace:
         """The loop cut at the forces: forces to minus the forces of the law."""
         n = len(self._system.references)
-        plant, by_force, names = self.plant, self._system.force_to_commands, self._system.forces
+        plant, by_force, names = self.plant, self._system.B_inverse, self._system.forces
         pushed = with_timebase(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
         answer = (
             with_timebase(self.law, self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
@@ -537,8 +537,8 @@ class LinearLoop:
         i = self._system.forces.index(force)
         others = np.eye(len(self._system.forces))
         others[i, i] = 0.0
-        pose_offset = ct.feedback(self.open_loop, ct.ss([], [], [], others))
-        return minimal(pose_offset[i, i])
+        others_closed = ct.feedback(self.open_loop, ct.ss([], [], [], others))
+        return minimal(others_closed[i, i])
 
     @cached_property
     def actuated_loop(self) -> ct.StateSpace:
@@ -650,7 +650,7 @@ def _with_filter(law: ct.StateSpace, system: LawSystem, filter: SteadyStateFilte
     given = np.zeros((len(filter.observer.sensors), 2 * n))
     given[np.arange(len(given)), [measured.index(m) for m in filter.observer.sensors]] = 1.0
     commands = filter.observer.process.vehicle.command_names
-    push = filter.b[:, [commands.index(c) for c in system.commands]] @ system.force_to_commands
+    push = filter.b[:, [commands.index(c) for c in system.commands]] @ system.B_inverse
     b_ref, b_y, d_ref, d_y = law.B[:, :n], law.B[:, n:] @ take, law.D[:, :n], law.D[:, n:] @ take
     a = np.block([[law.A, b_y], [push @ law.C, filter.a - filter.gain @ filter.c + push @ d_y]])
     b = np.block([[b_ref, np.zeros((law.nstates, 2 * n))], [push @ d_ref, filter.gain @ given]])

@@ -222,10 +222,10 @@ def _polished(balance: Balance, y: Array) -> Array:
         y = _newton_step(balance, y)
     for _ in range(SETTINGS.rounds):
         inverse, target, scale = _linearised(balance, y)
-        request = scale * (inverse @ (target - balance(y)))
-        if not balance.residual(request) < SETTINGS.tolerance / 10:
+        cheaper = scale * (inverse @ (target - balance(y)))
+        if not balance.residual(cheaper) < SETTINGS.tolerance / 10:
             break
-        y = request
+        y = cheaper
     return y
 
 

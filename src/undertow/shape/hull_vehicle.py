@@ -74,11 +74,7 @@ class Drag:
     sources: tuple[str, ...]  # where each is from
 
 
-def drag_of_hull(
-    mesh: Mesh,
-    density: float = 1000.0,
-    cd: Sequence[float] | None = None,
-) -> Drag:
+def drag_of_hull(mesh: Mesh, density: float = 1000.0, cd: Sequence[float] | None = None) -> Drag:
     """Drag by silhouettes in translation, and by the speeds of all strips of the surface in rotation.
 
     `density`: of the water, kg/m^3; `cd` (3,): drag coefficients on the silhouettes seen along x, y and z; by
@@ -270,7 +266,7 @@ class Hardware:
     at_rest: bool = True  # whether it pushes at rest, a unit per unit of its command
 
 
-def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence[EffectTable] = ()) -> str:
+def hull_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence[EffectTable] = ()) -> str:
     """The text of a vehicle file for a hull; `tested` has values that are better than those of its shape."""
     _check(hull, spec)
     mesh, added = hull.moved(-spec.origin), added.placed(np.eye(3), -spec.origin)
@@ -282,11 +278,11 @@ def first_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence
         source=f"shape of {spec.mesh}, mass as stated; no test yet",
         degrees_of_freedom=spec.degrees_of_freedom,
         density=spec.density,
-        tables=[_bettered(t, tested) for t in hull_tables(mesh, added, spec)],
+        tables=[_with_tests(t, tested) for t in hull_tables(mesh, added, spec)],
     )
 
 
-def _bettered(table: EffectTable, tested: Sequence[EffectTable]) -> EffectTable:
+def _with_tests(table: EffectTable, tested: Sequence[EffectTable]) -> EffectTable:
     """A table with the values of tests in place of its own."""
     better = {line.split(" = ")[0]: line for t in tested if t.id == table.id for line in t.entries}
     return replace(table, entries=[better.get(line.split(" = ")[0], line) for line in table.entries])

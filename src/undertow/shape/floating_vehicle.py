@@ -15,13 +15,13 @@ from undertow.model.effects.wave_excitation import ODD, harmonics
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.typing import Array, Progress
 
-from .first import EffectTable, HullSpec, entry_line, hull_tables, vehicle_text
-from .floating import Afloat, Complex, FloatingBody, RegularWave
+from .floating import Complex, FloatingBody, FloatingHull, RegularWave
+from .hull_vehicle import EffectTable, HullSpec, entry_line, hull_tables, vehicle_text
 from .mesh import Mesh, bisected
 
 
 @dataclass(frozen=True)
-class AfloatRules:
+class FloatingVehicleRules:
     """Uncertainties and limits of numbers that panels have computed."""
 
     stiffness: float = 0.05  # sigma of what the waterline gives: trim, load, tanks
@@ -31,7 +31,7 @@ class AfloatRules:
     small: float = 1e-3  # coefficients of a wave below this share of the largest are left out
 
 
-_RULES = AfloatRules()
+_RULES = FloatingVehicleRules()
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class FloatingVehicle:
     """What was found of a hull that floats."""
 
     text: str  # of the vehicle file
-    hull: Afloat
+    hull: FloatingHull
     memory: Memory
     wave: RegularWave | None
 
@@ -66,7 +66,7 @@ def floating_vehicle(
     found = None if wave is None else body.regular_wave(wave.omega, _inertia(whole, spec))
     hull = body.radiation(report)
     memory = fit_memory(hull, spec.own)
-    wet = under_water(whole)
+    wet = immersed_part(whole)
     at_surface = replace(spec, origin=np.zeros(3))
     tables = {t.id: t for t in hull_tables(wet, hull.at_infinity, at_surface)}
     own = {t.id: t for t in hull_tables(whole, hull.at_infinity, at_surface)}
@@ -110,7 +110,7 @@ def _check(spec: HullSpec, wave: WaveSpec | None) -> None:
         )
 
 
-def under_water(hull: Mesh) -> Mesh:
+def immersed_part(hull: Mesh) -> Mesh:
     """The closed part of a hull under the plane z = 0, z down; what stands out of the water lies on it."""
     fine = bisected(hull, float(hull.extents.max()) / _RULES.strips)
     laid = Mesh(np.column_stack([fine.vertices[:, :2], np.maximum(fine.vertices[:, 2], 0.0)]), fine.faces)
@@ -125,7 +125,7 @@ def _inertia(hull: Mesh, spec: HullSpec) -> Array:
     return np.block([[m * np.eye(3), -m * S], [m * S, about]])
 
 
-def _about(spec: HullSpec, hull: Afloat) -> Iterator[str]:
+def _about(spec: HullSpec, hull: FloatingHull) -> Iterator[str]:
     x, y, z = hull.origin
     yield (
         f"It floats with {hull.draught:.4g} m of draught. The origin lies in the waterline, above the centre "
@@ -135,7 +135,7 @@ def _about(spec: HullSpec, hull: Afloat) -> Iterator[str]:
     yield from spec.remarks
 
 
-def _waterplane(hull: Afloat, own: Sequence[int]) -> EffectTable:
+def _waterplane(hull: FloatingHull, own: Sequence[int]) -> EffectTable:
     source = "waterline, displacement and centre of gravity"
     places = {"Z_z": (2, 2, "N/m"), "K_phi": (3, 3, "N m/rad"), "M_theta": (4, 4, "N m/rad")}
     lines = []
@@ -149,7 +149,7 @@ def _waterplane(hull: Afloat, own: Sequence[int]) -> EffectTable:
     return EffectTable("waterplane", lines)
 
 
-def _memory(memory: Memory, hull: Afloat) -> EffectTable:
+def _memory(memory: Memory, hull: FloatingHull) -> EffectTable:
     source = (
         f"memory of order {memory.order}, fitted to {len(hull.omega)} frequencies of {hull.panels} panels"
     )
@@ -282,7 +282,7 @@ class Memory:
         return dict(pair for row in rows for pair in row)
 
 
-def fit_memory(hull: Afloat, motions: Sequence[int], order: Literal[1, 2] | None = None) -> Memory:
+def fit_memory(hull: FloatingHull, motions: Sequence[int], order: Literal[1, 2] | None = None) -> Memory:
     """The smallest of both models that is good enough, or that of an order; `motions`: 0 to 5.
 
     Raises `UndertowError` where a model feeds power into the hull at some frequency.
@@ -302,7 +302,7 @@ def _shape(omega: Array, time: float, frequency: float) -> Complex:
     return np.asarray(1 / (s + 1 / time + frequency**2 / s))
 
 
-def _radiates(hull: Afloat, i: int) -> bool:
+def _radiates(hull: FloatingHull, i: int) -> bool:
     """Whether a motion sends waves out that count: a body of revolution that spins sends none."""
     most = np.array([hull.damping[:, j, j].max() for j in range(3)]).max()
     arm = 1.0 if i < 3 else hull.length / 2
@@ -313,7 +313,7 @@ def _error(wanted: Complex, found: Complex) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def _first_order(hull: Afloat, motions: Sequence[int]) -> Memory:
+def _first_order(hull: FloatingHull, motions: Sequence[int]) -> Memory:
     """One time constant for all motions, the one that leaves least of all kernels."""
     kernels = {i: hull.kernel(i) for i in motions}
 
@@ -333,7 +333,7 @@ def _first_order(hull: Afloat, motions: Sequence[int]) -> Memory:
     return Memory(1, own, dict.fromkeys(own, best), {}, errors)
 
 
-def _second_order(hull: Afloat, motions: Sequence[int]) -> Memory:
+def _second_order(hull: FloatingHull, motions: Sequence[int]) -> Memory:
     found = {i: _resonance(hull.omega, hull.kernel(i)) for i in motions}
     errors = {i: _error(hull.kernel(i), k * _shape(hull.omega, T, w)) for i, (k, T, w) in found.items()}
     k, T, w = ({i: row[j] for i, row in found.items()} for j in range(3))
