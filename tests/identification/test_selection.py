@@ -40,6 +40,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 
 
@@ -258,17 +259,20 @@ def test_an_alternative_is_excluded_only_by_the_fit_that_predicts(
 
 @pytest.mark.parametrize("name", ["X_udot", "X_udot_forward"])
 @pytest.mark.parametrize(
-    ("without", "beside", "said"), [(-5.0, 0.0, True), (-5.0, -1.0, False), (0.0, 0.0, False)]
+    ("without", "beside", "value"), [(-5.0, 0.0, -5.0), (-5.0, -1.0, 0.0), (0.0, 0.0, -2.0)]
 )
 def test_added_mass_that_falls_to_zero_beside_an_effect_is_seen(
-    name: str, without: float, beside: float, *, said: bool
+    name: str, without: float, beside: float, value: float
 ) -> None:
+    """Beside it, or without it already: then the stated one is what it should be."""
     vehicle = load_vehicle("box-hull" if name == "X_udot" else "mini-auv")
+    stated = cast(Vehicle, SimpleNamespace(value_of=lambda _: Value(-2.0)))
     fits = (
         SimpleNamespace(vehicle=vehicle, model=SimpleNamespace(free=(name, "X_u")), values=values)
         for values in ({name: without, "X_u": -1.0}, {name: beside, "X_u": 0.0})
     )
-    assert vanished_inertia(*(cast(Fitted, fit) for fit in fits)) == ([name] if said else [])
+    found = vanished_inertia(*(cast(Fitted, fit) for fit in fits), stated)
+    assert found == ({name: value} if value else {})
 
 
 @pytest.mark.parametrize("alone", [0.4, 0.02])

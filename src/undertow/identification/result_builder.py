@@ -548,6 +548,8 @@ def contradiction(
     without, with_it = (bench.score(f) for f in fits)
     if share_explained((without, with_it), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
+    if with_it.error >= without.error:
+        return "with all equations weighted equally, the residual is no smaller"
     return _is_proxy(effect, validator.final(fits[0])[0], bench, validator)
 
 

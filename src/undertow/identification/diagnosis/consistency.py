@@ -373,14 +373,18 @@ def is_spring(finding: FoundEffect) -> bool:
 SPRING = "in slow motion it would remove more inertia than the added mass, as a stiffness does"
 
 
-def vanished_inertia(before: Fitted, after: Fitted) -> list[str]:
-    """Inertias that become zero with an effect, and are not zero without it.
+def vanished_inertia(before: Fitted, after: Fitted, stated: Vehicle) -> dict[str, float]:
+    """Inertias that are zero with an effect, with the value that they have without it, or as stated.
+
+    One that the model is fitted without, too, is no sign of the effect; but whatever is fitted to a vehicle
+    without inertia is no cause either.
 
     before, after: fits of the model without and with it.
     """
     known = {str(symbol) for symbol in after.vehicle.mass_matrix.free_symbols}
-    free = [n for n in after.model.free if base_name(n) in known]
-    return [n for n in free if after.values[n] == 0.0 and before.values.get(n, 0.0) != 0.0]
+    zero = [n for n in after.model.free if base_name(n) in known and after.values[n] == 0.0]
+    values = {n: before.values.get(n, 0.0) or stated.value_of(n).value for n in zero}
+    return {n: value for n, value in values.items() if value}
 
 
 def constant_heading(finding: FoundEffect, bench: Bench) -> str:

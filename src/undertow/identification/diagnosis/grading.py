@@ -360,14 +360,14 @@ class Grading:
         """Which added mass an effect replaces, in words; empty if none."""
         bench, final = self._bench, self._validator.final
         before, after = (final(f)[0] for f in (bench.base, finding.trial.fit))
-        names = vanished_inertia(before, after)
-        if not names:
-            return ""
         vehicle = bench.base.model.functions.vehicle
-        known = {n: replace(vehicle.values[n], value=before.values[n], estimate=False) for n in names}
-        held = final(fitted(vehicle.with_values(known), [finding], bench).fit)[0]
-        base, with_it = (self._validator.squares_ahead(f) for f in (before, held))
-        return added_mass_doubt(names, self._gain([finding], base, with_it), self._settings)
+        values = vanished_inertia(before, after, vehicle)
+        if not values:
+            return ""
+        known = {n: replace(vehicle.values[n], value=v, estimate=False) for n, v in values.items()}
+        fits = (fitted(vehicle.with_values(known), f, bench).fit for f in ([], [finding]))
+        base, with_it = (self._validator.squares_ahead(final(fit)[0]) for fit in fits)
+        return added_mass_doubt([*values], self._gain([finding], base, with_it), self._settings)
 
     def _unexplained_variables(self, finding: FoundEffect) -> str:
         """That an effect explains little of what depends on its variables, in words; empty if not.
