@@ -488,7 +488,7 @@ def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     said, apart = suggest(_without_drag(), ["linear_damping", "quadratic_damping"], [log], tries=10)
     assert apart
     assert "linear_damping and quadratic_damping" in said
-    assert re.search(r"would put .* standard deviations apart, [\d.]+ times as far as these logs do; ", said)
+    assert re.search(r"would put .* apart,? [\d.]+ times as far as these logs do; ", said)
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
 
 

@@ -206,11 +206,14 @@ def test_each_verdict_says_what_to_do() -> None:
     others = _diagnosis("adequate", steps=[REFITTED, freed])
     assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")
     assert "--apply" in next_command(others, LINE)
+    still = first_sentence(_diagnosis("unexplained", steps=[REFITTED, freed]))
+    assert still.startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")
+    assert "No effect in the catalogue" in still
 
 
 def test_what_is_unexplained_says_where_to_look() -> None:
     nothing = _diagnosis("unexplained")
-    assert "most of the residual is in sway, and no logged variable clearly explains it" in first_sentence(
+    assert "the residual exceeds the noise most in sway, and no logged variable clearly explains it" in first_sentence(
         nothing
     )
     assert next_command(nothing, LINE) == ("undertow doctor 'my rov.toml' a.csv b.csv c.csv --map log.toml")

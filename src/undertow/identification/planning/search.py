@@ -546,10 +546,13 @@ def suggest(
         return f"No {tried} would tell {between} apart: {words}", False
     if then < now:
         return f"No {tried} would put {between} farther apart than these logs do.", False
-    farther = f", {then / now:.1f} times as far as these logs do" if now else ""
+    # Standard deviations are of sensor noise: where more is left, even many of them have told nothing apart.
+    many = now >= SEPARATION.separated
+    apart = "apart" if many else f"{_two_digits(then)} standard deviations apart"
+    farther = f"{' ' if many else ', '}{then / now:.1f} times as far as these logs do" if now else ""
     words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
-        f"{_two_digits(then)} standard deviations apart{farther}; write it with undertow plan "
+        f"{apart}{farther}; write it with undertow plan "
         f"--goal separate --between {','.join(ids)}."
     )
     return words, True

@@ -267,10 +267,11 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     unexplained = _only_disturbance(diagnosis, refitted) or (
         f"No effect in the catalogue explains what is missing: {refitted}; {_where_to_look(diagnosis)}."
     )
-    freed = diagnosis.verdict == "adequate" and diagnosis.freed
-    return (
-        f"{change}, and nothing else is missing." if freed else sentences.get(diagnosis.verdict, unexplained)
-    )
+    if diagnosis.freed and diagnosis.verdict == "adequate":
+        return f"{change}, and nothing else is missing."
+    if diagnosis.freed and diagnosis.verdict not in sentences:
+        return f"{change}. {unexplained}"
+    return sentences.get(diagnosis.verdict, unexplained)
 
 
 def _separable(diagnosis: Diagnosis) -> bool:
@@ -368,7 +369,7 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
     worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
     if worst is None:
         return "check the logs with undertow doctor"
-    place = f"most of the residual is in {worst.degree_of_freedom}"
+    place = f"the residual exceeds the noise most in {worst.degree_of_freedom}"
     if not _has_terms(diagnosis):
         return (
             f"{place}, and no logged variable clearly explains it: more runs may show what it depends on; "
