@@ -213,9 +213,8 @@ def test_each_verdict_says_what_to_do() -> None:
 
 def test_what_is_unexplained_says_where_to_look() -> None:
     nothing = _diagnosis("unexplained")
-    assert "the residual exceeds the noise most in sway, and no logged variable clearly explains it" in first_sentence(
-        nothing
-    )
+    place = "the residual exceeds the noise most in sway, and no logged variable clearly explains it"
+    assert place in first_sentence(nothing)
     assert next_command(nothing, LINE) == ("undertow doctor 'my rov.toml' a.csv b.csv c.csv --map log.toml")
     term = Dependence(
         term="v|v|", columns=[["v"]], coefficients=[1.0], standard_errors=[0.1], units=["N"], share=0.5,
