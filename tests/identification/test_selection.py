@@ -286,6 +286,18 @@ def test_an_effect_that_is_worth_adding_beside_the_inertia_does_not_replace_it(a
     )
 
 
+def test_a_force_whose_direction_is_estimated_is_tested_as_a_vector() -> None:
+    """2.2 standard errors of its length are not significant at the level of one parameter at 2."""
+    wind = catalogue()["wind"](())
+    values = {"area_frontal": 241.0, "wind_from": 0.56}
+    said = undetermined(wind, values, _covariance([110.0, 0.7]))
+    assert said == (
+        "its size area_frontal = 241 ± 1.1e+02 m^2 is not determined by these logs: any direction was "
+        "possible"
+    )
+    assert undetermined(wind, values, _covariance([90.0, 0.7])) == ""
+
+
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     memory = catalogue()["radiation_memory"](())
     values = {"X_memu": 2.0, "T_memory": 0.4}

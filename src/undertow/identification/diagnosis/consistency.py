@@ -259,6 +259,11 @@ def undetermined(
         return (
             f"{' and '.join(words.values())} {'is' if len(own) == 1 else 'are'} not determined by these logs"
         )
+    # A force of a direction that is estimated, too, is a vector.
+    angles = [p.name for p in own if p.unit == "rad" and not p.linear]
+    if sizes and angles and not differ(sizes, further=len(angles)):
+        size = ", ".join(words[name] for name in sizes)
+        return f"its size {size} is not determined by these logs: any direction was possible"
     if sizes and len(own) > len(sizes) and not known & {*sizes} and not differ(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
@@ -283,13 +288,20 @@ def _jointly_tested(own: Sequence[Parameter]) -> list[list[str]]:
 
 
 def _differ_from_zero(
-    values: Mapping[str, float], covariance: Array, settings: Settings, names: Sequence[str]
+    values: Mapping[str, float],
+    covariance: Array,
+    settings: Settings,
+    names: Sequence[str],
+    further: int = 0,
 ) -> bool:
-    """Whether parameters differ from zero as a whole (Wald test), at the level of one at its limit."""
+    """Whether parameters differ from zero as a whole (Wald test), at the level of one at its limit.
+
+    further: other components of a vector, which are zero by the choice of its axes.
+    """
     places = [list(values).index(n) for n in names]
     estimate = np.array([values[n] for n in names])
     distance = estimate @ inverse_of(covariance[np.ix_(places, places)]) @ estimate
-    return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names)))
+    return bool(distance > chi2.isf(2.0 * norm.sf(settings.time_constant_t), len(names) + further))
 
 
 def undetermined_by_fit(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
