@@ -276,7 +276,7 @@ def is_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings = DEFAULT)
 
 def _above_noise(ratio: Array, rows: NDArray[np.intp], settings: Settings) -> Flags:
     limit = 1.0 + settings.noise_uncertainty + settings.chance_errors * np.sqrt(2.0 / np.maximum(rows, 1))
-    return np.asarray((ratio > limit) & (rows > 0))
+    return np.asarray(~(ratio <= limit) & (rows > 0))  # what cannot be computed is no noise
 
 
 def noise_in_more_equations(fit: Fitted, other: Fitted, data: WeakData, settings: Settings) -> bool:
