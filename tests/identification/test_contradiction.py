@@ -14,7 +14,7 @@ import undertow as ut
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.identification.diagnose import diagnose
-from undertow.identification.diagnosis.bench import Bench, open_bench
+from undertow.identification.diagnosis.bench import Bench, error_falls, open_bench
 from undertow.identification.diagnosis.consistency import Kept, kept_with
 from undertow.identification.diagnosis.evidence import FoundEffect, reconciles_sensors
 from undertow.identification.diagnosis.residual import remaining, unrelated_to
@@ -64,6 +64,14 @@ def _tried(hidden: tuple[str, ...], effect: str, of: str = "usv") -> _Tried:
     found = try_all(bench, {effect: catalogue()[effect]}, lambda done, words: None)
     validator = SimulationValidator(given, runs[:3], runs[3:], train.sigma)
     return _Tried(found.findings[0], found.bench, validator)
+
+
+def test_the_error_relative_to_sensor_noise_falls_with_the_missing_effect_and_rises_without_it() -> None:
+    tried = _tried(("lift",), "lift")
+    fits, test = (tried.bench.base, tried.finding.trial.fit), tried.bench.test
+    assert error_falls(*fits, test)
+    assert not error_falls(*fits[::-1], test)
+    assert not error_falls(fits[0], fits[0], test)
 
 
 def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:

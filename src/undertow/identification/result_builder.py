@@ -20,7 +20,15 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 from undertow.version import __version__
 
-from .diagnosis.bench import Bench, Score, comparable_mean_squares, error_of, noise_ratio, score_of
+from .diagnosis.bench import (
+    Bench,
+    Score,
+    comparable_mean_squares,
+    error_falls,
+    error_of,
+    noise_ratio,
+    score_of,
+)
 from .diagnosis.candidates import possible_in
 from .diagnosis.consistency import depends_on_time, kept_with, may_depend_on_time, own_variables
 from .diagnosis.evidence import EffectSet, FoundEffect, fitted, too_fast_to_distinguish, with_effects
@@ -548,8 +556,8 @@ def contradiction(
     without, with_it = (bench.score(f) for f in fits)
     if share_explained((without, with_it), bench.noise_level, bench) <= 0.0:
         return ONLY_SIMULATIONS
-    if with_it.error >= without.error:
-        return "with all equations weighted equally, the residual is no smaller"
+    if not error_falls(*fits, bench.test):
+        return "relative to sensor noise alone, the residual is no smaller"
     return _is_proxy(effect, validator.final(fits[0])[0], bench, validator)
 
 

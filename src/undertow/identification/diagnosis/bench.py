@@ -259,6 +259,14 @@ def noise_ratio(fit: Fitted, data: WeakData) -> Array:
     return mean_square(whitened(fit.model.linearise(data, fit.p), whitening).r, data)
 
 
+def error_falls(before: Fitted, after: Fitted, data: WeakData) -> bool:
+    """Whether one model leaves less than another in units of sensor noise, all equations weighted equally.
+
+    Under a noise model with a disturbance, the equations that are disturbed least decide.
+    """
+    return error_of(noise_ratio(after, data)) < error_of(noise_ratio(before, data))
+
+
 def only_noise(fit: Fitted, data: WeakData, settings: Settings = DEFAULT) -> bool:
     """Whether sensor noise explains the residual of a model in each equation, given the number of rows."""
     return is_noise(noise_ratio(fit, data), rows_of(data), settings)
