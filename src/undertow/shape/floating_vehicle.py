@@ -16,7 +16,7 @@ from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.typing import Array, Progress
 
 from .floating import Complex, FloatingBody, FloatingHull, RegularWave
-from .hull_vehicle import EffectTable, HullSpec, entry_line, hull_tables, vehicle_text
+from .hull_vehicle import EffectTable, HullSpec, entry_line, hull_tables, text_from_shape
 from .mesh import Mesh, bisected
 
 
@@ -76,16 +76,9 @@ def floating_vehicle(
     more = [_waterplane(hull, spec.own), _memory(memory, hull)]
     more += [_excitation(found, wave, spec.own)] if found is not None and wave is not None else []
     extents = " x ".join(f"{e:.4g}" for e in mesh.extents) + " m"
-    text = vehicle_text(
-        made_from=f"{spec.mesh} (sha256 {spec.sha256})",
-        about=list(_about(spec, hull)),
-        name=spec.name,
-        description=f"First model of {spec.name} at the surface, from its hull ({extents}, {spec.mass:g} kg)",
-        source=f"shape of {spec.mesh}, mass as stated; no test yet",
-        degrees_of_freedom=spec.degrees_of_freedom,
-        density=spec.density,
-        tables=[*tables.values(), *(t for t in more if t.entries)],
-    )
+    description = f"First model of {spec.name} at the surface, from its hull ({extents}, {spec.mass:g} kg)"
+    shown = [*tables.values(), *(t for t in more if t.entries)]
+    text = text_from_shape(spec, list(_about(spec, hull)), description, shown)
     return FloatingVehicle(text, hull, memory, found)
 
 

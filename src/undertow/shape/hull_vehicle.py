@@ -270,15 +270,22 @@ def hull_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence[
     """The text of a vehicle file for a hull; `tested` has values that are better than those of its shape."""
     _check(hull, spec)
     mesh, added = hull.moved(-spec.origin), added.placed(np.eye(3), -spec.origin)
+    description = f"First model of {spec.name} from its hull ({_size(mesh)}, {spec.mass:g} kg)"
+    tables = [_with_tests(t, tested) for t in hull_tables(mesh, added, spec)]
+    return text_from_shape(spec, list(_about(mesh, spec)), description, tables)
+
+
+def text_from_shape(spec: HullSpec, about: list[str], description: str, tables: list[EffectTable]) -> str:
+    """The text of a vehicle file whose values are those of the shape of a hull."""
     return vehicle_text(
         made_from=f"{spec.mesh} (sha256 {spec.sha256})",
-        about=list(_about(mesh, spec)),
+        about=about,
         name=spec.name,
-        description=f"First model of {spec.name} from its hull ({_size(mesh)}, {spec.mass:g} kg)",
+        description=description,
         source=f"shape of {spec.mesh}, mass as stated; no test yet",
         degrees_of_freedom=spec.degrees_of_freedom,
         density=spec.density,
-        tables=[_with_tests(t, tested) for t in hull_tables(mesh, added, spec)],
+        tables=tables,
     )
 
 
