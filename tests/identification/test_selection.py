@@ -266,13 +266,16 @@ def test_added_mass_that_falls_to_zero_beside_an_effect_is_seen(
 ) -> None:
     """Beside it, or without it already: then the stated one is what it should be."""
     vehicle = load_vehicle("box-hull" if name == "X_udot" else "mini-auv")
-    stated = cast(Vehicle, SimpleNamespace(value_of=lambda _: Value(-2.0)))
-    fits = (
-        SimpleNamespace(vehicle=vehicle, model=SimpleNamespace(free=(name, "X_u")), values=values)
+    stated = cast(Vehicle, SimpleNamespace(values={name: Value(-2.0)}))
+    fits = [
+        cast(
+            Fitted, SimpleNamespace(vehicle=vehicle, model=SimpleNamespace(free=(name, "X_u")), values=values)
+        )
         for values in ({name: without, "X_u": -1.0}, {name: beside, "X_u": 0.0})
-    )
-    found = vanished_inertia(*(cast(Fitted, fit) for fit in fits), stated)
-    assert found == ({name: value} if value else {})
+    ]
+    assert vanished_inertia(*fits, stated) == ({name: value} if value else {})
+    # One that the effect itself brings is not in the vehicle without it.
+    assert vanished_inertia(*fits, cast(Vehicle, SimpleNamespace(values={}))) == {}
 
 
 @pytest.mark.parametrize("alone", [0.4, 0.02])

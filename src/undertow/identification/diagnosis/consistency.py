@@ -395,7 +395,8 @@ def vanished_inertia(before: Fitted, after: Fitted, stated: Vehicle) -> dict[str
     """
     known = {str(symbol) for symbol in after.vehicle.mass_matrix.free_symbols}
     zero = [n for n in after.model.free if base_name(n) in known and after.values[n] == 0.0]
-    values = {n: before.values.get(n, 0.0) or stated.value_of(n).value for n in zero}
+    # An inertia that the effect itself brings is none that it could replace.
+    values = {n: before.values.get(n, 0.0) or stated.values[n].value for n in zero if n in stated.values}
     return {n: value for n, value in values.items() if value}
 
 
