@@ -19,7 +19,7 @@ from tomlkit.items import Table
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 from undertow.model.tables import validated
-from undertow.model.units import to_si
+from undertow.model.units import si_of
 from undertow.typing import Array
 
 SCHEMA = "undertow/mapping/1"
@@ -66,11 +66,13 @@ class Column(_Strict):
         values = scale * size + offset
         return values if self.off is None else np.where(cells == self.off, 0.0, values)
 
+    def times(self, factor: float) -> Column:
+        """The column with its values multiplied by a factor."""
+        return self.model_copy(update={"scale": factor * self.scale, "offset": factor * self.offset})
+
     def in_units_of(self, factor: float) -> Column:
         """The column scaled by a factor to the unit of its channel, which it then no longer states."""
-        return self.model_copy(
-            update={"unit": None, "scale": factor * self.scale, "offset": factor * self.offset}
-        )
+        return self.times(factor).model_copy(update={"unit": None})
 
 
 class Channel(_Strict):
@@ -122,21 +124,15 @@ class Time(_Strict):
     stretch: str | None = Field(default=None, min_length=1)
 
     @model_validator(mode="after")
-    def _nanoseconds_of_seconds(self) -> Self:
+    def _keys_fit(self) -> Self:
         if self.nanoseconds is not None and self.unit != "s":
             raise ValueError(
                 f'nanoseconds belong to a column in s, but unit is {self.unit!r}: write unit = "s"'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _interval_alone(self) -> Self:
-        if self.interval is None:
-            return self
-        if self.unit != "s" or self.nanoseconds is not None:
+        if self.interval is not None and (self.unit != "s" or self.nanoseconds is not None):
             raise ValueError("interval replaces the times of the log: remove unit and nanoseconds")
         try:
-            spacing_of(self.interval)
+            _ = self.spacing
         except UndertowError as error:
             raise ValueError(str(error)) from error
         return self
@@ -179,7 +175,7 @@ class Compass(_Strict):
     @property
     def coefficients(self) -> tuple[float, float, float]:
         """A, B and C, rad."""
-        a, b, c = (_angle(getattr(self, n), n) for n in "ABC")
+        a, b, c = (si_of(f"compass: {n}", getattr(self, n), "rad") for n in "ABC")
         return a, b, c
 
 
@@ -301,33 +297,16 @@ def _refuse_duplicate_channels(mapping: LogMapping, path: Path) -> None:
             )
 
 
-def seconds_of(given: str | float, what: str) -> float:
-    """A time that is stated as text with a unit, or as a number in s."""
-    try:
-        return to_si(given if isinstance(given, str) else f"{given!r} s", "s")
-    except UndertowError as error:
-        raise UndertowError(f"{what}: {error}") from error
-
-
 def spacing_of(interval: str | float) -> float:
     """A stated sampling interval, s."""
-    spacing = seconds_of(interval, "interval")
+    spacing = si_of("interval", interval, "s")
     if not 0.0 < spacing < np.inf:
         raise UndertowError(f"interval {interval!r} is not above zero: write the time between two rows")
     return spacing
 
 
-def _angle(given: str | float, key: str) -> float:
-    try:
-        return to_si(given, "rad")
-    except UndertowError as error:
-        raise UndertowError(f"compass: {key}: {error}") from error
-
-
 Channels = dict[str, Array]
-
-_LINEAR, _ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")
-
+_LINEAR, ANGLES = ("u", "v", "w"), ("phi", "theta", "psi")
 _SWAPPED = {"x": "y", "y": "x"}
 # Forward stays forward; left becomes starboard and up becomes down, so second and third components turn.
 FLIPPED_BODY = (
@@ -367,19 +346,19 @@ def velocity_to_body(channels: Mapping[str, NDArray[np.float64]], axes: str) -> 
     """Turn u, v, w along the axes of NED or ENU into body axes, by the attitude in NED (else zero)."""
     linear = _three(channels, _LINEAR)
     north_east_down = linear if axes == "NED" else np.array([linear[1], linear[0], -linear[2]])
-    turned = np.einsum("ijn,jn->in", to_body(*_three(channels, _ANGLES)), north_east_down)
+    turned = np.einsum("ijn,jn->in", to_body(*_three(channels, ANGLES)), north_east_down)
     return {**channels, **_present(channels, turned)}
 
 
 def velocity_to_earth(channels: Mapping[str, NDArray[np.float64]]) -> Channels:
     """Rates of x, y, z in NED, from u, v, w and the attitude (what is missing is zero)."""
-    turned = np.einsum("ijn,in->jn", to_body(*_three(channels, _ANGLES)), _three(channels, _LINEAR))
+    turned = np.einsum("ijn,in->jn", to_body(*_three(channels, ANGLES)), _three(channels, _LINEAR))
     return dict(zip("xyz", turned, strict=True))
 
 
 def over_ground(channels: Mapping[str, NDArray[np.float64]], water: Sequence[float]) -> Channels:
     """Add the velocity of the water (NED, m/s) to u, v, w that are measured through the water."""
-    drift = np.einsum("ijn,j->in", to_body(*_three(channels, _ANGLES)), np.asarray(water))
+    drift = np.einsum("ijn,j->in", to_body(*_three(channels, ANGLES)), np.asarray(water))
     return {**channels, **_present(channels, _three(channels, _LINEAR) + drift)}
 
 
@@ -409,15 +388,8 @@ def _negated(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]
 
 
 # --- formulas ------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class FormulaLimits:
-    """Limits of a formula: anything longer is a program, or a mistake."""
-
-    characters: int = 2000  # an attitude has ten names of columns in it
-    parts: int = 200  # numbers, names and operations
-
-
-_LIMITS = FormulaLimits()
+# Anything longer is a program, or a mistake: an attitude has ten names of columns in it.
+_MOST_CHARACTERS, _MOST_PARTS = 2000, 200
 _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -455,16 +427,17 @@ class Formula:
 
     @cached_property
     def _tree(self) -> ast.expr:
-        if len(self.text) > _LIMITS.characters:
-            start, most = self.text[:40], _LIMITS.characters
-            raise UndertowError(f"formula {start!r}... is longer than {most} characters: shorten it")
+        if len(self.text) > _MOST_CHARACTERS:
+            raise UndertowError(
+                f"formula {self.text[:40]!r}... is longer than {_MOST_CHARACTERS} characters: shorten it"
+            )
         try:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             reason = error.msg if isinstance(error, SyntaxError) else str(error)
             raise UndertowError(f"formula {self.text!r} is not arithmetic ({reason}): {_HOW}") from error
-        if sum(1 for _ in ast.walk(tree)) > _LIMITS.parts:
-            raise UndertowError(f"formula {self.text!r} has more than {_LIMITS.parts} parts: shorten it")
+        if sum(1 for _ in ast.walk(tree)) > _MOST_PARTS:
+            raise UndertowError(f"formula {self.text!r} has more than {_MOST_PARTS} parts: shorten it")
         return tree.body
 
     @cached_property
@@ -518,7 +491,6 @@ _HOW = (
 
 
 # --- what formats of logs state in other ways: quaternions, latitudes and longitudes, pressures ---
-ANGLES = ("phi", "theta", "psi")
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
 """Seconds in the units of clocks, the likelier first."""
 
@@ -560,16 +532,9 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return float(np.radians(along)), float(np.radians(across * np.cos(lat)))
 
 
-@dataclass(frozen=True)
-class PressureSettings:
-    """Conversion of pressure to depth."""
-
-    density: float = 1025.0  # kg/m^3: sea water; in fresh water a depth is 2.5 % more
-    gravity: float = 9.81  # m/s^2
-    surface: float = 101325.0  # Pa: the standard atmosphere
-
-
-PRESSURE = PressureSettings()
+_SEA_WATER = 1025.0  # kg/m^3; in fresh water a depth is 2.5 % more
+_GRAVITY = 9.81  # m/s^2
+_ATMOSPHERE = 101325.0  # Pa
 
 
 def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
@@ -578,12 +543,12 @@ def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, 
     `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
     z counts downwards in the log and -1 where it counts upwards.
     """
-    metre = PRESSURE.density * PRESSURE.gravity
-    above = PRESSURE.surface if absolute else 0.0
+    metre = _SEA_WATER * _GRAVITY
+    above = _ATMOSPHERE if absolute else 0.0
     column = Column(
         channel="z", unit="m", scale=down * pascal / metre, offset=-down * above / metre if above else 0.0
     )
-    assumed = f"{PRESSURE.density:g} kg/m^3 and {above:g} Pa at the surface"
+    assumed = f"{_SEA_WATER:g} kg/m^3 and {above:g} Pa at the surface"
     return column, f"{assumed}: for other water change `scale` in a mapping file"
 
 
@@ -607,9 +572,7 @@ def column_edit(mapping: LogMapping, channel: str, **changes: Any) -> Edit:
     name, column = column_of(mapping, channel)
     if name in mapping.channels:
         return _formula_edit(name, mapping.channels[name], changes)
-    times = changes.pop("times", 1.0)
-    scaled = {"scale": times * column.scale, "offset": times * column.offset}
-    changed = column.model_copy(update={**scaled, **changes})
+    changed = column.times(changes.pop("times", 1.0)).model_copy(update=changes)
     content = changed.model_dump(exclude_defaults=True)
     return Edit("columns", name, {"channel": changed.channel} | content)
 
@@ -627,7 +590,7 @@ def _formula_edit(name: str, computed: Channel, changes: dict[str, Any]) -> Edit
 def delay_edit(mapping: LogMapping, channel: str, more: float) -> Edit:
     """Add so many seconds to the delay of the column, or of the expression, that becomes a channel."""
     given = column_of(mapping, channel)[1].delay
-    return column_edit(mapping, channel, delay=f"{seconds_of(given, channel) + more:.3g} s")
+    return column_edit(mapping, channel, delay=f"{si_of(channel, given, 's') + more:.3g} s")
 
 
 def reassigned(mapping: LogMapping, places: Mapping[str, tuple[str, float]]) -> Edits:
@@ -646,8 +609,7 @@ def reassigned(mapping: LogMapping, places: Mapping[str, tuple[str, float]]) -> 
     found = []
     for target, (source, _) in places.items():
         name, column = column_of(mapping, source)
-        times = signs[target]
-        turned = column.model_copy(update={"scale": times * column.scale, "offset": times * column.offset})
+        turned = column.times(signs[target])
         into = column_of(mapping, target)[1].channel
         found.append(Edit("columns", name, turned.model_dump(exclude_defaults=True) | {"channel": into}))
     return tuple(found)

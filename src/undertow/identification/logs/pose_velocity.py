@@ -403,10 +403,9 @@ def as_reported(vehicle: Vehicle, runs: Sequence[Run]) -> Vehicle:
 def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge", "sway", "yaw")) -> Run:
     """Add the body velocities that a run lacks, from its pose.
 
-    Each pose channel is smoothed (see `undertow.identification.logs.pose_velocity`): noise and smoothness are
-    estimated from the data, outliers are dropped, shifts of the origin are bridged, and where tracking was
-    lost for more than 0.5 s the velocities are NaN. Roll and pitch take part where they are degrees of
-    freedom, and are taken as zero otherwise. x and y need psi beside them unless the heading is constant.
+    Each pose channel is smoothed: noise and smoothness are estimated from the data, outliers are dropped,
+    shifts of the origin are bridged, and where tracking was lost for more than 0.5 s the velocities are NaN.
+    Roll and pitch are taken as zero unless they are degrees of freedom.
 
     Velocities that were there are kept. The names of those that are added are in `derived` of the run, the
     medians of their standard deviations in `sigma`; outliers in the pose become NaN.
@@ -476,15 +475,11 @@ def _moves(channel: Array) -> bool:
 def _body_rates(run: Run, tracks: dict[str, Track]) -> tuple[Array, Array]:
     """Return u … r and their standard deviations, (6, n) each; pose without a track counts as zero."""
     zero = np.zeros(len(run.t))
-    value, value_var, rate, rate_var = (
-        np.array([function(tracks[name]) if name in tracks else zero for name in POSE])
-        for function in (
-            lambda one: one.value,
-            lambda one: one.value_sd**2,
-            lambda one: one.rate,
-            lambda one: one.rate_sd**2,
-        )
+    value, value_sd, rate, rate_sd = (
+        np.array([getattr(tracks[name], what) if name in tracks else zero for name in POSE])
+        for what in ("value", "value_sd", "rate", "rate_sd")
     )
+    value_var, rate_var = value_sd**2, rate_sd**2
     rotation, euler = _to_body(*value[3:])
     linear, angular = np.einsum("ijn,jn->in", rotation, rate[:3]), np.einsum("ijn,jn->in", euler, rate[3:])
     # An attitude error rotates the velocity: velocity x error.

@@ -30,13 +30,13 @@ from undertow.identification.logs.table import (
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
-from undertow.model.units import magnitude, scale_offset, si_unit
+from undertow.model.units import magnitude, scale_offset, si_of, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
 from .compass import corrected
 from .formats.fieldlog import Window, one_run
-from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside, seconds_of
+from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
 from .opening import (
     FieldLogs,
     check_channel,
@@ -157,27 +157,12 @@ def read_logs(
 ) -> list[Run]:
     """Read the logs of a vehicle, each with a name of its own, and with velocities, if need be from its pose.
 
-    Parameters
-    ----------
-    paths, vehicle, mapping, window, missing_commands
-        As for `read_log`, tables or logs as vehicles write them, with the commands of the vehicle; without a
-        mapping, a mapping file of the same name next to a log is used.
-    held
-        Motions that a rig holds in all of the logs, whatever their mappings say; a log with such motions
-        needs no column for them, nor for commands.
-    to_fit : bool
-        Refuse more samples than a fit takes as soon as they are read.
-    one_motion : bool
-        Whether a log may hold some of the motions and commands only, as one of a towing tank does.
-    in_any_order : bool
-        Leave out rows of a table whose time is not later than that of all before.
-    field_logs : dict of FieldLog, optional
-        Native vehicle logs that are open already; others are added.
-
-    Returns
-    -------
-    list of Run
-        In the order of the paths; of a log of several segments, each as a run. `Run.source` is the path.
+    Without a mapping, a mapping file of the same name next to a log is used. A rig holds the motions in
+    `held`, whatever the mappings say: such a log needs no column for them, nor for commands, and a log of
+    `one_motion` may lack motions and commands, too. `to_fit` refuses more samples than a fit takes as soon
+    as they are read; `in_any_order` leaves out rows whose time is not later than that of all before.
+    `field_logs` are native vehicle logs that are open already; others are added. Of a log of several
+    segments, each is a run.
     """
     runs: list[Run] = []
     for done, path in enumerate(paths):
@@ -277,10 +262,10 @@ def run_of_table(
     For parts of one log, `origin` is the time in the file that counts as zero, and `before` has the last
     values of commands before the rows, which may then lack all values of a channel.
     """
-    where = f"log {path}"
+    where, frames = f"log {path}", mapping.frames
     (table,) = decimated([table], mapping.time.every)
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
-    there |= {*mapping.channels, *table.columns}
+    there.update(mapping.channels, table.columns)
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
@@ -309,8 +294,10 @@ def run_of_table(
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
-    slow = {turned_name(c.channel, mapping.frames.position) for c in sources.values() if c.fresh is not None}
-    run = _unwrapped(run, mapping)
+    whole = {name: unwrapped(data) for name, data in run.channels.items() if mapping.jumps(name)}
+    jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
+    run = replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
+    slow = {turned_name(c.channel, frames.position) for c in sources.values() if c.fresh is not None}
     run = with_report_noise(run, slow, part=before is not None)
     run = replace(run, held=_held(run, mapping.held))
     if common.several or policy == "hold":
@@ -347,14 +334,8 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
             found[name] = Column(channel=name)
     known = [*(column.channel for column in found.values()), *mapping.channels]
     for name in commands:
-        must_have(
-            name,
-            known,
-            where,
-            "command channel",
-            names,
-            f', or a constant under [channels], such as {name} = "0", for one that was never used',
-        )
+        constant = f', or a constant under [channels], such as {name} = "0", for one that was never used'
+        must_have(name, known, where, "command channel", names, constant)
     return found
 
 
@@ -393,8 +374,8 @@ def _on_rows(
     t: Array, read: Channels, sources: dict[str, Column], mapping: LogMapping, where: str, before: Commands
 ) -> OneClock:
     """The rows of a table; where it holds several series, the rows that these share."""
-    late = {c.channel: seconds_of(c.delay, f"{where}: delay of column {n!r}") for n, c in sources.items()}
-    late |= {n: seconds_of(c.delay, f"{where}: delay of channel {n!r}") for n, c in mapping.channels.items()}
+    late = {c.channel: si_of(f"{where}: delay of column {n!r}", c.delay, "s") for n, c in sources.items()}
+    late |= {n: si_of(f"{where}: delay of channel {n!r}", c.delay, "s") for n, c in mapping.channels.items()}
     slow = any(column.fresh is not None for column in sources.values())
     interpolated = _interpolated(sources, mapping, where)
     table = np.abs(list(read.values()))
@@ -525,12 +506,6 @@ def _attitude(mapping: LogMapping) -> str:
     return attitude_of(mapping)
 
 
-def _unwrapped(run: Run, mapping: LogMapping) -> Run:
-    whole = {name: unwrapped(data) for name, data in run.channels.items() if mapping.jumps(name)}
-    jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
-    return replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
-
-
 def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:
     factors = {name: _to_si(name, column, where) for name, column in sources.items()}
     changed = [
@@ -542,7 +517,8 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     changed += [f"{n} = {c.expression} {c.unit or ''}".rstrip() for n, c in mapping.channels.items()]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
     late = {n: c.delay for n, c in mapping.channels.items()} | {c.channel: c.delay for c in sources.values()}
-    shifted = [f"{n} by {seconds_of(delay, n):g} s" for n, delay in late.items() if seconds_of(delay, n)]
+    delays = {n: si_of(n, delay, "s") for n, delay in late.items()}
+    shifted = [f"{n} by {seconds:g} s" for n, seconds in delays.items() if seconds]
     notes += [f"delays removed: {', '.join(shifted)}"] if shifted else []
     spec = mapping.frames
     if "ENU" in (spec.position, _attitude(mapping)) or spec.body == "FLU":

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.symbols import FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
 from undertow.notebook import html
 from undertow.typing import Array, Flags, Index
 
@@ -22,20 +22,11 @@ if TYPE_CHECKING:
 
 FORCES = ("tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N")
 ACCELERATION = tuple(f"{name}_dot" for name in VELOCITY)
-UNITS = dict(
-    zip(
-        POSE + VELOCITY + FORCES + ACCELERATION,
-        ["m"] * 3
-        + ["rad"] * 3
-        + ["m/s"] * 3
-        + ["rad/s"] * 3
-        + ["N"] * 3
-        + ["N m"] * 3
-        + ["m/s^2"] * 3
-        + ["rad/s^2"] * 3,
-        strict=True,
-    )
-)
+UNITS = {
+    **MOTION_UNITS,
+    **dict(zip(FORCES, FORCE_UNITS, strict=True)),
+    **{name: f"{MOTION_UNITS[name.removesuffix('_dot')]}^2" for name in ACCELERATION},
+}
 MEASURED = frozenset(POSE + VELOCITY + ACCELERATION)
 """Channels that a sensor of the motion reports; all others are held until they change."""
 

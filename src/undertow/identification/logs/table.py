@@ -15,7 +15,7 @@ import sys
 import threading
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from decimal import Decimal
 from os import SEEK_END
@@ -45,14 +45,10 @@ except (ImportError, ValueError, OSError):
 
 @dataclass
 class Helper:
-    """A process that answers one question after another, and is started again after a crash.
+    """A process that answers one question after another, and is started again after a crash."""
 
-    `program` is Python that answers every line of JSON with a line of JSON; `memory` is the limit of its
-    address space, bytes.
-    """
-
-    program: str
-    memory: int = 6_000_000_000  # what a table of the most cells needs, three times over
+    program: str  # Python that answers every line of JSON with a line of JSON
+    memory: int = 6_000_000_000  # limit of its address space, bytes: a table of the most cells, three times
     _process: subprocess.Popen[str] | None = None
     _owner: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -160,8 +156,6 @@ def _unreadable(where: str, reason: str) -> str:
 
 _HELPER = Helper(_DECODE)
 _CRASHED = "the reader fails: the file is damaged or needs too much memory"
-
-
 _SMALLER = (
     "take a part of it with --from and --to, decimate it with `every` in a mapping file, or leave out columns"
 )
@@ -360,7 +354,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
     counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
-    if len(names) > 1 and all(map(_is_cell_of_number, names)) and names not in counted:
+    if len(names) > 1 and all(map(_is_number, names)) and names not in counted:
         raise UndertowError(
             f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
             f"{len(names)} columns on top"
@@ -377,14 +371,6 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         )
     except _UNREADABLE as error:
         raise (_too_many_cells(text, mapping, where) or error) from error
-
-
-def _is_cell_of_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
@@ -428,7 +414,7 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
     size = rows = columns = 0
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
-            for piece in _pieces(stream):
+            while piece := stream.read(_PIECE_BYTES):
                 pieces.append(piece)
                 size, rows = size + len(piece), rows + piece.count(b"\n")
                 columns = columns or columns_of(header_of(piece, mapping), mapping)
@@ -436,11 +422,6 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
     except DAMAGED as error:
         raise UndertowError(f"{where} is a damaged gzip file ({error}): copy it again") from error
     return b"".join(pieces)
-
-
-def _pieces(stream: gzip.GzipFile) -> Iterator[bytes]:
-    while piece := stream.read(_PIECE_BYTES):
-        yield piece
 
 
 def _refuse_doubled(columns: Iterable[str], where: str) -> None:
@@ -563,27 +544,22 @@ def elapsed(
     raw = numbers(table, name, mapping, where)
     if origin is None and not (len(raw) and abs(scale * raw[0]) > _EPOCH):
         origin = 0.0
-    exact = _as_decimals(table[name], mapping.decimal) if origin != 0.0 else None
+    exact = _as_decimals(table[name], mapping) if origin != 0.0 else None
     if origin is None:
         origin = float(raw[0]) if exact is None else exact.item(0)
-    rest = _nanoseconds(table, mapping, where)
+    rest: NDArray[np.float64] | float = 0.0
+    if mapping.time.nanoseconds is not None:
+        rest = 1e-9 * numbers(table, mapping.time.nanoseconds, mapping, where)
     if exact is None or not isinstance(origin, Decimal):
         return raw - float(origin) + rest, origin
     return np.where(np.isnan(raw), np.nan, _counts_since(exact, origin)) + rest, origin
 
 
-def _nanoseconds(table: pl.DataFrame, mapping: LogMapping, where: str) -> NDArray[np.float64] | float:
-    """Times of the column of nanoseconds, s; zero without one."""
-    name = mapping.time.nanoseconds
-    return 0.0 if name is None else 1e-9 * numbers(table, name, mapping, where)
-
-
-def _as_decimals(column: pl.Series, decimal: str) -> pl.Series | None:
+def _as_decimals(column: pl.Series, mapping: LogMapping) -> pl.Series | None:
     """A column of numbers as decimals; None where they are floats, or not all of them can be."""
     cells = _as_text(column)
     if cells.dtype == pl.String:
-        cells = cells.str.strip_chars()
-        cells = cells.str.replace(",", ".", literal=True) if decimal == "," else cells
+        cells = _with_points(cells.str.strip_chars(), mapping)
     elif not (cells.dtype.is_integer() or cells.dtype.is_decimal()):
         return None
     exact = cells.cast(_EXACT, strict=False)
