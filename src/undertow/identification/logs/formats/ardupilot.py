@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import NamedTuple
@@ -38,11 +38,6 @@ class AutopilotSettings:
 
 
 SETTINGS = AutopilotSettings()
-
-
-def by_name(names: Sequence[str], values: Array) -> Parameters:
-    """Settings by name; of several values the last."""
-    return dict(zip(names, values.tolist(), strict=True))
 
 
 def shorter_by_pymavlink(suffix: str) -> str:

@@ -46,7 +46,8 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
     for number, (one, guess) in enumerate(found):
         direct = [g for g in guess.columns if not g.is_formula]
-        new = [g for g in direct if g.channel in UNITS and g.channel not in taken and _has_unit(one, g)]
+        new = [g for g in direct if g.channel in UNITS and g.channel not in taken]
+        new = [g for g in new if fits(one.units.get(_name_in_series(one, g)), g.channel)]
         columns |= {f"{one.name}.{_name_in_series(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
         driving += [f"{one.name}.{_name_in_series(one, g)}" for g in direct if g.channel not in UNITS]
@@ -65,14 +66,13 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     everything is guessed.
     """
     meaning = log.mapping_for(vehicle.command_names if vehicle else ())
-    every = [f"{one.name}.{column}" for one in log.series.values() for column in one.columns]
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
     if log.by_name or not MEASURED & {guess.channel for guess in known}:
         return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK)
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]
-    left = [n for n in every if lacking and n not in meaning.columns and _may_be_command(n, lacking)]
+    left = [n for n in log.columns if lacking and n not in meaning.columns and _may_be_command(n, lacking)]
     if lacking and log.actuators:  # they are as many as the vehicle has not
         left = [name for name, _ in log.actuators]
     guessed = guess_table(log.table(left), log.path, vehicle, HELD, CLOCK).columns if left else ()
@@ -149,11 +149,6 @@ def _with_unit(one: Series, name: str) -> str:
 
 def _name_in_series(one: Series, guess: Guess) -> str:
     return next(name for name in one.columns if _with_unit(one, name) == guess.column)
-
-
-def _has_unit(one: Series, guess: Guess) -> bool:
-    """Whether the unit that the log states is one of the channel."""
-    return fits(one.units.get(_name_in_series(one, guess)), guess.channel)
 
 
 def fits(unit: str | None, channel: str) -> bool:

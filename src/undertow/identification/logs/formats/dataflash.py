@@ -26,7 +26,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import ANGLES, Column, Frames, LogMapping
 from undertow.typing import Array, Flags, Index
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink
+from .ardupilot import SETTINGS, Parameters, actuators, outputs, shorter_by_pymavlink
 from .fieldlog import (
     FieldLog,
     Format,
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
-# --- records --------------------------------------------------------------------------------------
 Bytes = NDArray[np.uint8]
 
 # --- records --------------------------------------------------------------------------------------
@@ -365,7 +364,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 def _interpreted(path: Path, file: Records) -> FieldLog:
-    parameters = _parameters(file)
+    stated = file.messages.get("PARM")
+    parameters: Parameters = {}
+    if stated is not None:
+        parameters = dict(zip(stated.texts("Name"), stated.numbers("Value").tolist(), strict=True))
     firmware = next((text for text in file.texts("MSG", "Message") if re.match(r"Ardu\w+ V", text)), "")
     known = _Navigation(file, parameters)
     columns = known.columns()
@@ -375,11 +377,6 @@ def _interpreted(path: Path, file: Records) -> FieldLog:
     mapping = LogMapping(columns=columns, frames=Frames(velocity=known.velocity_axes))
     notes = (*([firmware] if firmware else []), *file.notes, *known.notes, *more, *left_out)
     return FieldLog(path, FORMAT.name, file.series, mapping, driven, parameters, intervals, notes)
-
-
-def _parameters(file: Records) -> Parameters:
-    found = file.messages.get("PARM")
-    return {} if found is None else by_name(found.texts("Name"), found.numbers("Value"))
 
 
 _OUTPUTS = ("RCOU", "RCO2", "RCO3")
@@ -408,8 +405,9 @@ class _Navigation:
         number = self.core if instance is None else instance
         return next((n for n in (f"{name}[{number}]", name) if n in self._file.series), "")
 
-    def _rows(self, name: str, *columns: str) -> list[Array] | None:
-        return self._file.rows(self.series(name), *columns)
+    def _rows(self, part: str, *columns: str) -> list[Array] | None:
+        """Rows of a kind of messages of the estimator, as of `Records`; None without an estimator."""
+        return self._file.rows(self.series(f"{self.family}{part}"), *columns) if self.family else None
 
     def _primary(self) -> int:
         """The core that was primary for most of the log."""
@@ -424,12 +422,12 @@ class _Navigation:
 
     def _held(self) -> list[tuple[float, float]]:
         """When the estimator held its position for lack of aiding."""
-        rows = self._rows(f"{self.family}4", "SS") if self.family else None
+        rows = self._rows("4", "SS")
         return [] if rows is None else runs_of(rows[0], rows[1].astype(np.int64) & SETTINGS.held != 0)
 
     def _moves(self) -> bool:
         """Whether the estimator has places and velocities, and did not hold its place all the time."""
-        rows = self._rows(f"{self.family}1", "PN", "PE", "PD", "VN", "VE", "VD") if self.family else None
+        rows = self._rows("1", "PN", "PE", "PD", "VN", "VE", "VD")
         if rows is None:
             return False
         still = all(np.ptp(place) == 0.0 for place in rows[1:3])
@@ -494,7 +492,7 @@ class _Navigation:
         return named(name, {"phi": "phi", "theta": "theta", "psi": "psi"})
 
     def _rates(self) -> dict[str, Column]:
-        chosen = self._rows(f"{self.family}FS", "GI") if self.family else None
+        chosen = self._rows("FS", "GI")
         number = int(np.median(chosen[1])) if chosen is not None and len(chosen[1]) else 0
         name = self.series("IMU", number) or self.series("IMU", 0)
         rows = self._file.rows(name, "GyrX", "GyrY", "GyrZ")
@@ -512,7 +510,7 @@ class _Navigation:
 
     def _bias(self, t: Array) -> Array:
         """Bias of the gyros, rad/s, (n, 3): the last estimates."""
-        rows = self._rows(f"{self.family}1", "GX", "GY", "GZ") if self.family else None
+        rows = self._rows("1", "GX", "GY", "GZ")
         if rows is None:
             return np.zeros((len(t), 3))
         latest = np.clip(np.searchsorted(rows[0], t, side="right") - 1, 0, len(rows[0]) - 1)
@@ -521,7 +519,7 @@ class _Navigation:
     def resets(self) -> list[float]:
         """Times, s, at which the estimator was reset or another one took over."""
         found: list[float] = []
-        rows = self._rows(f"{self.family}4", "OFN", "OFE", "PI") if self.family else None
+        rows = self._rows("4", "OFN", "OFE", "PI")
         if rows is not None:
             changed = np.any([np.diff(column) != 0 for column in rows[1:]], axis=0)
             found += rows[0][1:][changed].tolist()
@@ -557,8 +555,8 @@ _DOWN, _GOOD = 25, 4  # orientation of a range finder, and its status
 def _sensors(file: Records, known: _Navigation) -> dict[str, Column]:
     """Voltage of the battery and height above ground."""
     battery = known.series("BAT", 0) or known.series("CURR", 0)
-    seen = bool(battery) and "Volt" in file.series[battery].columns
-    return (named(battery, {"Volt": "voltage"}, unit="V") if seen else {}) | _height(file)
+    measured = file.rows(battery, "Volt") is not None
+    return (named(battery, {"Volt": "voltage"}, unit="V") if measured else {}) | _height(file)
 
 
 def _height(file: Records) -> dict[str, Column]:

@@ -163,10 +163,7 @@ class FieldLog:
         """The first rows of all columns, as many as are needed to guess their meaning."""
         every = np.sort(np.concatenate([one.t[rising(one.t)] for one in self.series.values()]))
         end = float(every[min(SETTINGS.guess_rows, len(every)) - 1])
-        table = self.table(
-            [f"{s.name}.{column}" for s in self.series.values() for column in s.columns], (None, end)
-        )
-        return table.filter(pl.col(TIME) <= end)
+        return self.table(self.columns, (None, end)).filter(pl.col(TIME) <= end)
 
     @property
     def sha256(self) -> str:
@@ -184,7 +181,10 @@ class FieldLog:
         if len(t) * width <= SETTINGS.cells:
             return every, t, places
         low, high = low - SETTINGS.margin, high + SETTINGS.margin
-        inside = {name: rows[_between(self.series[name].t[rows], low, high)] for name, rows in every.items()}
+        inside = {}
+        for name, rows in every.items():
+            own = self.series[name].t[rows]
+            inside[name] = rows[(own >= low) & (own <= high)]
         t, places = union([self.series[name].t[rows] for name, rows in inside.items()])
         if not len(t):
             raise UndertowError(f"log {self.path} has no sample in the time window: change it")
@@ -205,18 +205,23 @@ class FieldLog:
         return {STRETCH: number} if self.intervals else {}
 
     def has(self, name: str) -> bool:
-        """Whether it has a column of this name, which joins those of a series and of its column."""
+        """Whether it has a column of this name; series are decoded only as far as it is looked for."""
         return any(name == f"{s.name}.{column}" for s in self.series.values() for column in s.columns)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of all columns, which join those of a series and of its column."""
+        return [f"{s.name}.{column}" for s in self.series.values() for column in s.columns]
 
     def _series_and_column(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
         for series in self.series:  # either may have points in it
             if name.startswith(f"{series}.") and name[len(series) + 1 :] in self.series[series].columns:
                 return series, name[len(series) + 1 :]
-        known = [f"{s.name}.{column}" for s in self.series.values() for column in s.columns]
+        hint = nearest(name, self.columns)
         raise UndertowError(
-            f"log {self.path} has no {name!r}{nearest(name, known)}: undertow import {self.path} --list "
-            "shows what it has; optional = true in the mapping file leaves it out of logs that lack it"
+            f"log {self.path} has no {name!r}{hint}: undertow import {self.path} --list shows what it has; "
+            "optional = true in the mapping file leaves it out of logs that lack it"
         )
 
     def drive(self) -> tuple[Array, Array] | None:
@@ -265,10 +270,6 @@ def _out_of_order(t: Array) -> tuple[int, list[float]]:
     blocks = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1) if len(lost) else []
     back = [kept[kept > block[-1]][:1] for block in blocks if np.ptp(t[block]) > SETTINGS.jump]
     return len(lost), [float(t[next_]) for places in back for next_ in places]
-
-
-def _between(t: Array, low: float, high: float) -> Flags:
-    return (t >= low) & (t <= high)
 
 
 def outputs_of(
@@ -417,7 +418,8 @@ def used_intervals(
     begin = float(outputs[0][0]) if outputs is not None and len(outputs[0]) else span[0]
     kept = long_enough((max(a, begin), b) for a, b in moving or armed or [span])
     inside = [r for r in resets if any(a < r < b for a, b in kept)]
-    notes += [f"cut at {_times(inside)} s, where the estimator was reset"] if inside else []
+    if inside:
+        notes.append(f"cut at {', '.join(f'{t:.1f}' for t in inside)} s, where the estimator was reset")
     pieces = long_enough(cut_at(kept, [*inside, *(edge for stretch in held for edge in stretch)]))
     aided = [p for p in pieces if not _within(sum(p) / 2, held)]
     if len(aided) < len(pieces) and aided:
@@ -457,10 +459,6 @@ def _left_out(span: Interval, used: Sequence[Interval], armed: Sequence[Interval
     return [f"left out: {', '.join(parts)}"] if parts else []
 
 
-def _times(moments: Sequence[float]) -> str:
-    return ", ".join(f"{t:.1f}" for t in moments)
-
-
 def runs_of(t: Array, flags: Flags) -> list[Interval]:
     """Intervals in which flags of samples are set, s."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
@@ -484,16 +482,9 @@ TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 """Formats that are tables already."""
 
 
-@dataclass(frozen=True)
-class TrialSettings:
-    """Limit on CPU time, s, for reading a file that could hang its reader."""
-
-    # Importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
-    least: float = 20.0
-    per_megabyte: float = 1.0
-
-
-TRIAL = TrialSettings()
+# Limit on CPU time, s, for reading a file that could hang its reader, and more for each megabyte of it:
+# importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
+_LEAST_SECONDS, _SECONDS_PER_MEGABYTE = 20.0, 1.0
 
 
 @cache
@@ -525,15 +516,16 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     if found is None:
         return None
     size = path.stat().st_size if path.is_file() else 0
+    seconds = _LEAST_SECONDS + _SECONDS_PER_MEGABYTE * size / 1e6
     if size > found.largest:
         raise UndertowError(
             f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} can "
             f"be read: {found.shorter}"
         )
-    if found.hangs and not _TRIES.answer([str(path.absolute()), _seconds(size)], True, False):
+    if found.hangs and not _TRIES.answer([str(path.absolute()), seconds], True, False):
         raise UndertowError(
             f"log {path} cannot be read as {found.name}: its reader fails, or takes more than "
-            f"{_seconds(size):.0f} s: copy it again"
+            f"{seconds:.0f} s: copy it again"
         )
     try:
         return in_order(found.read(path, messages))
@@ -558,11 +550,6 @@ def answer_whether_files_can_be_read() -> None:
         print(json.dumps(True), flush=True)
 
 
-def _seconds(size: int) -> float:
-    """Limit on the CPU time for a file of so many bytes, s."""
-    return TRIAL.least + TRIAL.per_megabyte * size / 1e6
-
-
 _TRIES = Helper(f"from {__name__} import answer_whether_files_can_be_read as answer\nanswer()")
 
 
@@ -582,13 +569,7 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
 
 
 def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
-    """The log of one run, which may be several tables.
-
-    Raises
-    ------
-    UndertowError
-        If one of several is no table, or a single one is: that is no vehicle's own log.
-    """
+    """The log of one run: a vehicle's own, or several tables; a single table is refused."""
     if len(paths) == 1:
         return read_field_log(paths[0], messages)
     for path in paths:

@@ -42,18 +42,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
                 found[words[1]].append(sample)
     if not found:
         raise UndertowError(f"log {path} contains no numbers: check that it is complete")
-    series = {name: _series(name, rows) for name, rows in found.items()}
+    columns = {name: np.array(rows).T for name, rows in found.items()}
+    series = {name: Series(name, t, {_LAST: values}) for name, (t, values) in columns.items()}
     mapping = LogMapping(
         columns={f"{n}.{_LAST}": column for n, column in _KNOWN.items() if n in series},
         frames=Frames(position="ENU", body="FRD", attitude="NED"),
     )
     notes = (f"truncated lines left out: {damaged}",) if damaged else ()
     return FieldLog(path, FORMAT.name, series, mapping, notes=notes)
-
-
-def _series(name: str, rows: list[tuple[float, float]]) -> Series:
-    t, values = np.array(rows).T
-    return Series(name, t, {_LAST: values})
 
 
 def _accepts(path: Path, head: bytes) -> bool:

@@ -29,7 +29,7 @@ from undertow.identification.logs.mapping import (
     angles,
     depth,
 )
-from undertow.typing import Array, Flags
+from undertow.typing import Array
 
 from .fieldlog import FieldLog, Format, Series, library
 
@@ -356,12 +356,9 @@ def _actuators(topics: Sequence[Topic], known: _Interpretation) -> tuple[tuple[s
 
 
 def _listed(topic: Topic) -> list[str]:
-    found = [name for name in topic.series.columns if _LIST.fullmatch(name) and _has_values(topic, name)]
+    columns = topic.series.columns
+    found = [name for name in columns if _LIST.fullmatch(name) and np.isfinite(columns[name]).any()]
     return [f"{topic.series.name}.{name}" for name in found]
-
-
-def _has_values(topic: Topic, name: str) -> bool:
-    return bool(np.any(np.isfinite(topic.series.columns[name])))
 
 
 def _numbered(topics: Sequence[Topic]) -> list[list[str]]:
@@ -465,15 +462,11 @@ class _Types:
         fields = self.store.fielddefs[name][1]
         return bool(fields) and fields[0][1] == (_NAME, "std_msgs/msg/Header")
 
-    def message(self, raw: bytes, name: str) -> Any:
-        """The message of some bytes."""
-        decode = self.store.deserialize_ros1 if self.ros1 else self.store.deserialize_cdr
-        return decode(raw, name)
-
     def sound(self, raw: bytes, name: str) -> Any:
         """The message of some bytes; None for damaged ones."""
+        decode = self.store.deserialize_ros1 if self.ros1 else self.store.deserialize_cdr
         try:
-            return self.message(raw, name)
+            return decode(raw, name)
         except Exception:  # whatever the library raises for them
             return None
 
@@ -554,7 +547,8 @@ def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[
     large: set[str] = set()
     kept = 0
     for connection, stamp, raw in messages:
-        name = connection.topic if len(types[connection.topic]) == 1 else _topic_with_type(connection)
+        one_type = len(types[connection.topic]) == 1
+        name = connection.topic if one_type else f"{connection.topic} ({connection.msgtype})"
         if name in large:
             continue
         if len(raw) > SETTINGS.largest:
@@ -572,10 +566,6 @@ def _collected(path: Path, messages: Any, connections: list[Any]) -> tuple[dict[
         one.stamps.append(stamp)
         one.raw.append(bytes(raw))
     return records, large
-
-
-def _topic_with_type(connection: Any) -> str:
-    return f"{connection.topic} ({connection.msgtype})"
 
 
 def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
@@ -643,14 +633,10 @@ def _decoded(raw: list[bytes], type_: str, types: _Types, constants: Mapping[str
     found = types.numbers(type_, messages)
     found |= derived(type_, found, messages, constants)
     valid = np.array([message is not None for message in decoded])
-    return {name: _with_blanks(column, valid) for name, column in found.items()}
-
-
-def _with_blanks(known: Array, valid: Flags) -> Array:
-    """A column with blanks for the messages that are damaged."""
-    column = np.full(len(valid), np.nan)
-    column[valid] = known
-    return column
+    columns = {name: np.full(len(valid), np.nan) for name in found}  # blank where a message is damaged
+    for name, column in columns.items():
+        column[valid] = found[name]
+    return columns
 
 
 def _accepts(path: Path, head: bytes) -> bool:

@@ -8,9 +8,9 @@ with seconds and nanoseconds in two columns (``header.stamp.sec``), else the tim
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from os.path import commonpath
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from undertow.identification.logs.guess_clock import (
     with_nanoseconds,
 )
 from undertow.identification.logs.guess_names import Name, unit_of_clock
-from undertow.identification.logs.mapping import SECONDS, Column
+from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import lacking_zeros
 from undertow.typing import Array
@@ -55,13 +55,7 @@ SETTINGS = TableSettings()
 
 
 def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
-    """The tables of one run; `path` is their folder.
-
-    Raises
-    ------
-    UndertowError
-        If none of them has a time, or all have the same columns of motions, as several runs have.
-    """
+    """The tables of one run; `path` is their folder. Those of several runs are refused."""
     path, files = path or Path(commonpath([file.parent for file in files])), sorted(files)
     found: list[Series] = []
     reasons: list[str] = []
@@ -81,15 +75,12 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     by_name = {one.name: one for one in found}
     more = len(reasons) - SETTINGS.named
     named = reasons[: SETTINGS.named] + [f"and {more} more"] * (more > 0)
-    remarks = (*_of_tables(lacking), *((f"left out: {', '.join(named)}",) if reasons else ()))
+    remarks = (f"left out: {', '.join(named)}",) if reasons else ()
+    if lacking:
+        others = f"; so do {len(lacking) - 1} more tables" if len(lacking) > 1 else ""
+        remarks = (f"{lacking[0]}{others}", *remarks)
     log = FieldLog(path, FORMAT.name, by_name, notes=remarks, files=tuple(files), by_name=True)
     return in_order(_guessed(log))
-
-
-def _of_tables(lacking: Sequence[str]) -> tuple[str, ...]:
-    """One note on the stamps of several tables, by the first of them."""
-    more = f"; so do {len(lacking) - 1} more tables" if len(lacking) > 1 else ""
-    return (f"{lacking[0]}{more}",) if lacking else ()
 
 
 def _reason(error: UndertowError, file: Path) -> str:
@@ -103,15 +94,11 @@ def _guessed(log: FieldLog) -> FieldLog:
     meaning = guess.meaning
     driving = [n for n, column in meaning.columns.items() if column.channel not in UNITS]
     columns = {n: column for n, column in meaning.columns.items() if n not in driving}
-    known = {n: _without_unit(meaning.columns[n]) for n in driving}
+    known = {n: meaning.columns[n].model_copy(update={"unit": None}) for n in driving}
     mapping = meaning.model_copy(update={"columns": columns, "ignore": ()})
     return replace(
         log, mapping=mapping, actuators=numbered(driving, columns, known), remarks=tuple(guess.asked)
     )
-
-
-def _without_unit(column: Column) -> Column:
-    return column.model_copy(update={"unit": None})
 
 
 def _names(files: Sequence[Path], folder: Path) -> list[str]:
@@ -185,24 +172,15 @@ def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> 
 
 def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
     """Refuse tables with motions that do not overlap in time: they are separate runs."""
-    spans = sorted(
-        (float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in found if _moves(one)
-    )
-    for (_, end, before), (begin, _, after) in zip(_latest_end_so_far(spans), spans[1:], strict=False):
+    moving = [one for one in found if any(Name.of(f"{one.name}.{c}").motion() for c in one.columns)]
+    spans = sorted((float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in moving)
+    for place, (begin, _, after) in enumerate(spans[1:], start=1):
+        _, end, before = max(spans[:place], key=lambda span: span[1])
         if begin > end:
             raise UndertowError(
                 f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
                 "separate runs; give the tables of each as one log"
             )
-
-
-def _latest_end_so_far(spans: Sequence[tuple[float, float, str]]) -> Iterator[tuple[float, float, str]]:
-    """For each span, in the order of their starts, the one that ends last of all up to it."""
-    return accumulate(spans, lambda a, b: max(a, b, key=lambda span: span[1]))
-
-
-def _moves(one: Series) -> bool:
-    return any(Name.of(f"{one.name}.{column}").motion() for column in one.columns)
 
 
 def tables_in(folder: Path, deep: int = SETTINGS.deep) -> list[Path]:

@@ -27,7 +27,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping, north_east
 from undertow.typing import Array
 
-from .ardupilot import SETTINGS, Parameters, actuators, by_name, outputs, shorter_by_pymavlink
+from .ardupilot import SETTINGS, Parameters, actuators, outputs, shorter_by_pymavlink
 from .fieldlog import (
     FieldLog,
     Format,
@@ -110,20 +110,30 @@ def _next(data: bytes, place: int) -> int:
     return min((head - _STAMP for head in heads if head >= 0), default=len(data))
 
 
+def _ends(data: bytes, place: int) -> tuple[int, int] | None:
+    """Where the payload and the whole message end whose time is at a place; None if none can be there."""
+    begin = place + _STAMP
+    stamp = int.from_bytes(data[place:begin], "big")
+    if begin + 10 > len(data) or data[begin] not in _HEADS:
+        return None
+    if not _WHOLE_YEARS[0] <= stamp <= _WHOLE_YEARS[1]:
+        return None
+    size = _HEADS[data[begin]][0]
+    last = begin + size + data[begin + 1]
+    signed = size == 10 and data[begin + 2] & 1
+    return last, last + _CHECKSUM + (_SIGNATURE if signed else 0)
+
+
 def _frame(data: bytes, place: int, mavlink: ModuleType, checksum: Checksum) -> tuple[_Frame | None, bool]:
     """The message at a place, if one can be there, and whether its checksum is right."""
-    begin = place + _STAMP
-    if data[begin] not in _HEADS or begin + 10 > len(data):
+    ends = _ends(data, place)
+    if ends is None or ends[1] > len(data):
         return None, False
+    begin, (last, end) = place + _STAMP, ends
     size, at = _HEADS[data[begin]]
-    two = size == 10
-    number = int.from_bytes(data[begin + 7 : begin + 10], "little") if two else data[begin + 5]
-    last = begin + size + data[begin + 1]
-    end = last + _CHECKSUM + (_SIGNATURE if two and data[begin + 2] & 1 else 0)
-    stamp = int.from_bytes(data[place:begin], "big")
-    if end > len(data) or not _WHOLE_YEARS[0] <= stamp <= _WHOLE_YEARS[1]:
-        return None, False
+    number = int.from_bytes(data[begin + 7 : begin + 10], "little") if size == 10 else data[begin + 5]
     source = (data[begin + at], data[begin + at + 1])
+    stamp = int.from_bytes(data[place:begin], "big")
     frame = _Frame(stamp * 1e-6, source, number, data[begin + size : last], end)
     kind = mavlink.mavlink_map.get(number)
     if kind is None:
@@ -277,7 +287,11 @@ def _interpreted(path: Path, own: dict[str, _Messages], notes: list[str]) -> Fie
     series = {s.name: s for name, m in own.items() for s in _series(name, m, times[name] - start)}
     texts = own["STATUSTEXT"].texts("text") if "STATUSTEXT" in own else []
     firmware = next((text for text in texts if re.match(r"Ardu\w+ V", text)), "")
-    parameters = _parameters(own)
+    stated = own.get("PARAM_VALUE")
+    parameters: Parameters = {}
+    if stated is not None:
+        values = stated.numbers("param_value").tolist()
+        parameters = dict(zip(stated.texts("param_id"), values, strict=True))
     columns, velocity, remarks = _columns(series)
     driven, more = actuators(parameters, outputs(series, _servos(series), r"servo(\d+)_raw"), firmware)
     resets = [float(t - start) for t in clock.since[1:]]
@@ -304,11 +318,6 @@ def _series(name: str, messages: _Messages, t: Array) -> list[Series]:
         Series(f"{name}[{mark}]", t[which == mark], {n: v[which == mark] for n, v in table.items()}, units)
         for mark in dict.fromkeys(marks)
     ]
-
-
-def _parameters(own: dict[str, _Messages]) -> Parameters:
-    found = own.get("PARAM_VALUE")
-    return {} if found is None else by_name(found.texts("param_id"), found.numbers("param_value"))
 
 
 def _servos(series: Mapping[str, Series]) -> list[str]:
@@ -422,17 +431,8 @@ def _accepts(path: Path, head: bytes) -> bool:
 
 def _is_tlog(head: bytes) -> bool:
     """Whether two messages follow each other from the first byte on, each after a time of this century."""
-    place = 0
-    for _ in range(2):
-        stamp, begin = int.from_bytes(head[place : place + _STAMP], "big"), place + _STAMP
-        if begin + 10 > len(head) or head[begin] not in _HEADS:
-            return False
-        if not _WHOLE_YEARS[0] <= stamp <= _WHOLE_YEARS[1]:
-            return False
-        size = _HEADS[head[begin]][0]
-        signed = size == 10 and head[begin + 2] & 1
-        place = begin + size + head[begin + 1] + _CHECKSUM + (_SIGNATURE if signed else 0)
-    return True
+    first = _ends(head, 0)
+    return first is not None and _ends(head, first[1]) is not None
 
 
 FORMAT = Format("MAVLink telemetry", (".tlog",), _accepts, _read, 120_000_000, shorter_by_pymavlink(".tlog"))

@@ -52,9 +52,9 @@ _FRAMES = Frames(position="NED", body="FRD", velocity="NED")
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
-    output = StringIO()  # pyulog prints what it finds damaged
-    with redirect_stdout(output):
-        log = _opened(path)
+    pyulog, output = library("pyulog", "a log of PX4"), StringIO()
+    with redirect_stdout(output), path.open("rb") as stream:  # pyulog prints what it finds damaged
+        log = pyulog.ULog(stream)
     if not log.data_list:
         raise UndertowError(f"log {path} has no data: check that it is complete")
     found = {_name(data): data.data for data in log.data_list}
@@ -85,12 +85,6 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         pieces,
         (*notes, *_note_on_pulses(series, actuators), *cuts),
     )
-
-
-def _opened(path: Path) -> Any:
-    pyulog = library("pyulog", "a log of PX4")
-    with path.open("rb") as stream:
-        return pyulog.ULog(stream)
 
 
 _NOTHING = Series("", np.zeros(0), {})
