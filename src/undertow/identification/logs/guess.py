@@ -57,19 +57,12 @@ class GuessSettings:
     rows: int = 20_000  # rows that are examined; more change no guess
     turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
-    spin: float = (
-        6.0  # a turning rate beyond this is in degrees: vehicles in water turn once a second at most
-    )
+    spin: float = 6.0  # a turning rate beyond this is in degrees: one turn a second is the most in water
     globe: float = 180.0  # no latitude or longitude is larger, degrees
     still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
-    repeated: float = (
-        0.6  # share of rows that repeat the one before, from which a sensor is slower than its log
-    )
+    repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
     flagged: float = 0.9  # share of new values that a flag must announce
-    pulse: tuple[float, float] = (
-        900.0,
-        2100.0,
-    )  # width of the pulses that servos and speed controllers take, us
+    pulse: tuple[float, float] = (900.0, 2100.0)  # widths that servos and speed controllers take, us
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
 
 
@@ -125,7 +118,8 @@ def guess_table(
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
-    read += _attitude(turned, _UNNAMED if unnamed else "") + _position_guesses(globe, place)
+    read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
+    read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
@@ -226,19 +220,14 @@ _FLAG = (
 
 
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
+_FIXES = "x and y: metres from the first fix of this log, if these are degrees: are they?"
 
 
-def _attitude(quaternion: Sequence[str], doubt: str = "") -> list[Guess]:
-    """Roll, pitch and yaw from the columns w, x, y, z of a quaternion; nothing from none."""
-    entries = formulas(quaternion) if quaternion else {}
-    return [
-        Guess(
-            ", ".join(quaternion),
-            {"channel": channel, "expression": text, "unit": "rad"},
-            doubt if channel == "phi" else "",
-        )
-        for channel, text in entries.items()
-    ]
+def _computed(columns: Sequence[str], by_channel: Mapping[str, str], unit: str, doubt: str) -> list[Guess]:
+    """Channels that are formulas in several columns; the doubt stands at the first of them."""
+    entries = [{"channel": c, "expression": text, "unit": unit} for c, text in by_channel.items()]
+    doubts = [doubt, *[""] * len(entries)]
+    return [Guess(", ".join(columns), entry, d) for entry, d in zip(entries, doubts, strict=False)]
 
 
 def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], dict[str, tuple[str, Array]]]:
@@ -247,19 +236,6 @@ def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], di
     globe = moved or latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
     return globe if place else (), place
-
-
-def _position_guesses(globe: Sequence[str], place: Mapping[str, tuple[str, Array]]) -> list[Guess]:
-    """North and east of the first fix, from latitude and longitude."""
-    asked = "x and y: metres from the first fix of this log, if these are degrees: are they?"
-    return [
-        Guess(
-            ", ".join(globe),
-            {"channel": channel, "expression": formula, "unit": "m"},
-            asked if channel == "x" else "",
-        )
-        for channel, (formula, _) in place.items()
-    ]
 
 
 def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
@@ -400,15 +376,16 @@ def _motions(
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
-    values, doubt, unit = data[name.column], "", name.unit
+    values, unit, doubts = data[name.column], name.unit, list[str]()
     if not unit:
         unit, doubt = _unit(channel, values)
-        if unit == "deg/s" and "rot" in name.words:
-            doubt = "degrees a second, or a minute, as in sentences of NMEA 0183?"
+        in_minutes = unit == "deg/s" and "rot" in name.words
+        doubts.append("degrees a second, or a minute, as in sentences of NMEA 0183?" if in_minutes else doubt)
     elif name.is_motion_by_unit:
-        doubt = f"its unit is that of a velocity: is it {channel}?"
+        doubts.append(f"its unit is that of a velocity: is it {channel}?")
     if unit == "rev/s":
-        unit, doubt = "rad/s", f"{doubt} rps: radians a second, or revolutions?".strip()
+        unit = "rad/s"
+        doubts.append("rps: radians a second, or revolutions?")
     entry: dict[str, object] = {"channel": channel, "unit": unit}
     if channel == "psi":
         entry["wrapped"] = True
@@ -416,20 +393,18 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     if fresh:
         entry["fresh"] = fresh
         if fresh == name.column:
-            doubt += (
-                f"{' ' if doubt else ''}most rows repeat the one before: is the sensor slower than the log?"
-            )
+            doubts.append("most rows repeat the one before: is the sensor slower than the log?")
     if name.is_upward and channel in ("z", "w"):
         entry["scale"] = -1
         if name.is_height:
-            doubt += f"{' ' if doubt else ''}read as a height above a fixed level (z = -height): is it?"
+            doubts.append("read as a height above a fixed level (z = -height): is it?")
     elif name.is_leftward and channel == "v":
         entry["scale"] = -1
     elif name.is_speed and channel == "u":
-        doubt += f"{' ' if doubt else ''}read as the speed ahead: does the vehicle hardly drift or go astern?"
+        doubts.append("read as the speed ahead: does the vehicle hardly drift or go astern?")
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
-        doubt += f"{' ' if doubt else ''}does it grow with depth? If it grows upwards: scale = -1"
-    return Guess(name.column, entry, doubt)
+        doubts.append("does it grow with depth? If it grows upwards: scale = -1")
+    return Guess(name.column, entry, " ".join(filter(None, doubts)))
 
 
 def _unit(channel: str, values: Array) -> tuple[str, str]:
@@ -445,13 +420,9 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
     if channel in VELOCITY[3:]:
         if most > SETTINGS.spin:
             return "deg/s", ""
-        if most < SETTINGS.still:
-            return (
-                "rad/s",
-                f"never beyond {most:.2g}: less than the earth's rotation; if it measures nothing, "
-                "leave it out",
-            )
-        return "rad/s", f"never beyond {most:.2g}: rad/s, or slow turns in deg/s?"
+        still = "less than the earth's rotation; if it measures nothing, leave it out"
+        doubt = still if most < SETTINGS.still else "rad/s, or slow turns in deg/s?"
+        return "rad/s", f"never beyond {most:.2g}: {doubt}"
     unit = UNITS[channel]
     return unit, f"no unit in the name: is it in {unit}?"
 
@@ -468,12 +439,8 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
         return ""
     for flag, column in flags.items():
         up = column > 0
-        if (
-            up.any()
-            and not up.all()
-            and np.mean(up[new]) > SETTINGS.flagged
-            and np.mean(up) < SETTINGS.repeated
-        ):
+        announces = up.any() and np.mean(up[new]) > SETTINGS.flagged
+        if announces and np.mean(up) < SETTINGS.repeated:
             return flag
     gaps = np.diff(np.flatnonzero(new))
     if not len(gaps):
@@ -495,14 +462,9 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
     kept = []
     for guess in read:
         if guess.channel == "r" and column:
-            unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / _rate_in_si(u))))
-            doubt = (
-                ""
-                if column == guess.column
-                else (
-                    f"the heading changes like '{column}', not like '{guess.column}': which is the yaw rate?"
-                )
-            )
+            unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / scale_offset(u, "rad/s")[0])))
+            other = f"the heading changes like '{column}', not like '{guess.column}': which is the yaw rate?"
+            doubt = "" if column == guess.column else other
             guess = Guess(column, {"channel": "r", "unit": unit}, doubt)
         kept.append(guess)
     taken = [g for g in kept if g.channel == "r"]
@@ -527,10 +489,6 @@ def _with_common_units(read: Sequence[Guess], names: Sequence[Name]) -> list[Gue
         alike = unit is not None and guess.entry["unit"] != unit
         found.append(replace(guess, entry={**guess.entry, "unit": unit}, doubt="") if alike else guess)
     return found
-
-
-def _rate_in_si(unit: str) -> float:
-    return scale_offset(unit, "rad/s")[0]
 
 
 def _factor(guess: Guess) -> float:
@@ -575,22 +533,15 @@ def _command(
         doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
-        doubt = (
-            f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: is that right?"
-        )
-        if unit == "N":
-            doubt += (
-                " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
-            )
+        expected = " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
+        doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: "
+        doubt += f"is that right?{expected if unit == 'N' else ''}"
     elif unit == "rad":
         entry["unit"], doubt = _unit("phi", values)
     elif unit == "N" or max(most, -least) > SETTINGS.full:
+        expected = " The vehicle file expects N: else give the force of a command of 1 as scale"
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
-        doubt += (
-            " The vehicle file expects N: else give the force of a command of 1 as scale"
-            if unit == "N"
-            else ""
-        )
+        doubt += expected if unit == "N" else ""
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 
 

@@ -135,28 +135,24 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     speed = np.hypot(moved.get("u", np.nan * t), moved.get("v", 0.0 * t)) if "u" in moved else t * np.nan
     logged = float(np.nanmedian(speed)) if np.isfinite(speed).any() else np.nan
     others = {u: pace * SECONDS[unit] / SECONDS[u] for u in ("min", "h", "day") if u != unit}
-    fits = _same_speed if np.isfinite(logged) else _possible_speed
-    if not pace > 0 or fits(pace, logged):
+
+    def fits(pace: float) -> bool:
+        if np.isfinite(logged):
+            return 1.0 / SETTINGS.same < pace / max(logged, 1e-12) < SETTINGS.same
+        return SETTINGS.slowest < pace < SETTINGS.fastest
+
+    if not pace > 0 or fits(pace):
         return time, t
     known = f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle is as fast or slow"
     asked = f"in {unit}, the position would change by {pace:.3g} m/s, and {known}"
-    better = next((u for u, p in others.items() if fits(p, logged)), "")
+    better = next((u for u, p in others.items() if fits(p)), "")
     if not better:
         either = " or the speed" if np.isfinite(logged) else ""
-        return replace(
-            time, doubt=f"{time.doubt} {asked}: is the time, the position{either} in another unit?"
-        ), t
+        doubt = f"{time.doubt} {asked}: is the time, the position{either} in another unit?"
+        return replace(time, doubt=doubt), t
     asked += f": read in {better}, in which it changes by {others[better]:.3g} m/s: is it?"
     scale = SECONDS[better] / SECONDS[unit]
     return Guess(time.column, {**time.entry, "unit": better}, asked), t * scale
-
-
-def _same_speed(pace: float, speed: float) -> bool:
-    return 1.0 / SETTINGS.same < pace / max(speed, 1e-12) < SETTINGS.same
-
-
-def _possible_speed(pace: float, speed: float) -> bool:
-    return SETTINGS.slowest < pace < SETTINGS.fastest
 
 
 def _pace(t: Array, moved: Mapping[str, Array]) -> float:
@@ -278,8 +274,6 @@ def _unit_question(step: float, unit: str, one: str) -> str:
     as_guessed = far_from_usual(step * SECONDS[unit])
     better = [u for u in SECONDS if far_from_usual(step * SECONDS[u]) < as_guessed]
     here, *others = (f"{1.0 / (step * SECONDS[u]):.3g}" for u in (unit, *better))
-    rates = [
-        f"{here} {one}s a second if it is in {unit}",
-        *(f"{x} in {u}" for x, u in zip(others, better, strict=True)),
-    ]
+    rates = [f"{here} {one}s a second if it is in {unit}"]
+    rates += [f"{x} in {u}" for x, u in zip(others, better, strict=True)]
     return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"

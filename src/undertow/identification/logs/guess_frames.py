@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -217,22 +217,14 @@ def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
     names = [*data]
     for four in zip(names, names[1:], names[2:], names[3:], strict=False):
         columns = [data[n] for n in four]
-        if (
-            len({_LAST.sub("", n) for n in four}) == 1
-            and _is_unit(columns)
-            and not all(map(_is_flag, columns))
-        ):
-            return (four[3], *four[:3]) if _scalar_is_last(columns) else four
+        one_name = len({_LAST.sub("", n) for n in four}) == 1
+        if not one_name or not _is_unit(columns) or all(map(_is_flag, columns)):
+            continue
+        # A vehicle in water is about upright: x and y are small. Heading north z is, too: then w is one.
+        first, _, third, last = (float(np.nanmean(column**2)) for column in columns)
+        scalar_is_last = last > first if max(first, third) < SETTINGS.upright else first < third
+        return (four[3], *four[:3]) if scalar_is_last else four
     return ()
-
-
-def _scalar_is_last(columns: Sequence[Array]) -> bool:
-    """Whether they are x, y, z, w and not w, x, y, z: a vehicle in water is about upright, x and y are small.
-
-    Where it heads north both are: then w is one.
-    """
-    first, _, third, last = (float(np.nanmean(column**2)) for column in columns)
-    return last > first if max(first, third) < SETTINGS.upright else first < third
 
 
 _LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # in which columns of a vector differ
@@ -284,7 +276,8 @@ class Guess:
         key, omitted = (self.channel, {"channel"}) if self.is_formula else (self.column, set())
         inside = ", ".join(f"{k} = {_toml(value)}" for k, value in self.entry.items() if k not in omitted)
         asked = f"# ? {self.doubt}\n" if self.doubt else ""
-        return f"{asked}{_key(key)} = {{ {inside} }}"
+        plain = re.fullmatch(r"[A-Za-z0-9_-]+", key)
+        return f"{asked}{key if plain else _toml(key)} = {{ {inside} }}"
 
 
 @dataclass(frozen=True)
@@ -322,16 +315,17 @@ class GuessedMapping:
     def text(self) -> str:
         """The mapping file."""
         head = [
-            f"# Guessed from {self.log}: every line with '# ?' is a question that the log does not answer."
+            f"# Guessed from {self.log}: every line with '# ?' is a question that the log does not answer.",
+            f"schema = {_toml(SCHEMA)}",
         ]
-        head += [f"schema = {_toml(SCHEMA)}"]
-        plain = LogMapping()
         head += [
             f"{key} = {_toml(getattr(self.reading, key))}"
             for key in ("delimiter", "not_numbers", "missing_commands")
-            if getattr(self.reading, key) != getattr(plain, key)
+            if getattr(self.reading, key) != LogMapping.model_fields[key].default
         ]
-        left = [line for part in self._ignored() for line in part]
+        left: list[str] = []
+        for reason, names in self.ignored.items():
+            left += [f"    # {reason}", *(f"    {_toml(name)}," for name in names)]
         head += ["ignore = [", *left, "]"] if left else []
         time = [f"{key} = {_toml(value)}" for key, value in self.time.entry.items()]
         asked = [f"# ? {self.time.doubt}"] if self.time.doubt else []
@@ -345,14 +339,6 @@ class GuessedMapping:
         parts = [f"[{name}]\n" + "\n".join(lines) for name, lines in sections.items()]
         return "\n\n".join(["\n".join(head), *parts]) + "\n"
 
-    def _ignored(self) -> Iterator[list[str]]:
-        for reason, names in self.ignored.items():
-            yield [f"    # {reason}", *(f"    {_toml(name)}," for name in names)]
-
 
 def _toml(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _toml(name)

@@ -37,16 +37,8 @@ _PLACES = {
 _EARTH = {"n": 0, "north": 0, "e": 1, "east": 1, "d": 2, "down": 2, "up": 2}
 _EARTH_SPEEDS = {"vn": 0, "ve": 1, "vd": 2, "vu": 2}
 _TURNS = {
-    "phi": 0,
-    "roll": 0,
-    "theta": 1,
-    "pitch": 1,
-    "psi": 2,
-    "yaw": 2,
-    "heading": 2,
-    "hdg": 2,
-    "compass": 2,
-}
+    "phi": 0, "roll": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2, "hdg": 2, "compass": 2,
+}  # fmt: skip
 _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
     "p": 3, "wx": 3, "q": 4, "wy": 4, "r": 5, "wz": 5,
@@ -87,17 +79,8 @@ _HEADER = {"header", "seq", "covariance", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
-    "wind",
-    "vibration",
-    "vib",
-    "mag",
-    "magnetic",
-    "magnetometer",
-    "camera",
-    "gimbal",
-    "joy",
-    "joystick",
-}
+    "wind", "vibration", "vib", "mag", "magnetic", "magnetometer", "camera", "gimbal", "joy", "joystick",
+}  # fmt: skip
 _MOMENT = {"torque", "moment"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -223,13 +206,9 @@ class Name:
     def is_speed(self) -> bool:
         """Whether it is the speed of the vehicle along no particular axis, such as that over ground."""
         words = {*self.words}
-        along = words & {"speed", "velocity", "vel", "sog"} and not words - {
-            *_OF_SPEED,
-            *_PLAIN,
-            *_RANK,
-            *_SOG,
-        }
-        return bool(along) and self.unit in {"", *_SPEEDS}
+        others = words - {*_OF_SPEED, *_PLAIN, *_RANK, *_SOG}
+        is_speed = bool(words & {"speed", "velocity", "vel", "sog"}) and not others
+        return is_speed and self.unit in {"", *_SPEEDS}
 
     @property
     def of_header(self) -> bool:
