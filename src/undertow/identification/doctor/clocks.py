@@ -237,8 +237,7 @@ def _two_clocks(who: str, how: str, delay: float, drift: float, error: float) ->
 def _velocities_advanced(run: Run, names: tuple[str, ...], shift: Array) -> Run:
     """Velocities of a while later, at the times that they belong to."""
     at = run.t + shift[0] + shift[1] * _run_share(run.t)
-    present = {n: run.channels[n] for n in names}
-    return with_channels(run, {n: np.interp(at, run.t, data) for n, data in present.items()})
+    return with_channels(run, {n: np.interp(at, run.t, run.channels[n]) for n in names})
 
 
 def _delay_columns(names: tuple[str, ...], runs: Sequence[Run]):  # type: ignore[no-untyped-def]
@@ -312,9 +311,9 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     drifting delay, is a clock error.
     """
     step = at.runs[0].step
-    refit = _refitted_with_delay(at)
-    constant = _constant_delay(refit)
-    both = None if constant is None else _search(refit.dynamics, step, constant[0], drifts=True)
+    refitted, delay = _refitted_with_delay(at)
+    constant = _constant_delay(refitted, delay)
+    both = None if constant is None else _search(refitted, constant[0], drifts=True)
     if constant is None or both is None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
@@ -337,16 +336,8 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
     return None
 
 
-@dataclass(frozen=True)
-class _Refit:
-    """A model refitted with commands of a delay near the best one, s."""
-
-    dynamics: Dynamics
-    delay: float
-
-
-def _refitted_with_delay(at: Dynamics) -> _Refit:
-    """Begin the search for a delay: Gauss-Newton does not find one of many samples.
+def _refitted_with_delay(at: Dynamics) -> tuple[Dynamics, float]:
+    """The model refitted with commands of a delay, s, near the best one, where Gauss-Newton can begin.
 
     The fit to commands that are many samples off may have reduced their force to zero, and would then not
     show their delay; and its residual is then not noise.
@@ -355,11 +346,11 @@ def _refitted_with_delay(at: Dynamics) -> _Refit:
     tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
     delay = float(max(tried, key=lambda late: at.predicted_reduction(_delayed(late, 0.0)) or 0.0))
     fit = at.refitted(undo=_delayed(delay, 0.0)) if delay else None
-    return _Refit(at, 0.0) if fit is None else _Refit(replace(at, fit=with_reestimated_noise(fit)), delay)
+    return (at, 0.0) if fit is None else (replace(at, fit=with_reestimated_noise(fit)), delay)
 
 
-def _constant_delay(refit: _Refit) -> tuple[Array, Array, float] | None:
-    found = _search(refit.dynamics, refit.dynamics.runs[0].step, np.array([refit.delay, 0.0]), drifts=False)
+def _constant_delay(at: Dynamics, start: float) -> tuple[Array, Array, float] | None:
+    found = _search(at, np.array([start, 0.0]), drifts=False)
     return found if found and np.isfinite(found[1][0]) else None  # infinite without a command
 
 
@@ -406,7 +397,7 @@ def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> l
     late = [one for one in found if one.clear(step)]
     turned = [one for one in late if {*one.names} & {*VELOCITY}]
     at = dynamics_of(vehicle, without_latencies(runs, late)) if turned else None
-    constant = None if at is None else _constant_delay(_refitted_with_delay(at))
+    constant = None if at is None else _constant_delay(*_refitted_with_delay(at))
     if at is None or constant is None:
         return list(found)
     delay, error = float(constant[0][0]), float(constant[1][0])
@@ -420,9 +411,9 @@ def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> l
     return [early, *(one for one in found if one not in late and not {*one.names} & {*prompt})]
 
 
-def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
+def _search(at: Dynamics, start: Array, drifts: bool) -> tuple[Array, Array, float] | None:
     """Delay, and drift if free, by Gauss-Newton, their errors, and the misfit that is left."""
-    found, error, left = start, np.full(2, np.inf), np.inf
+    step, found, error, left = at.runs[0].step, start, np.full(2, np.inf), np.inf
     for _ in range(SETTINGS.command_rounds):
         stepped = _newton_step(at, found, 2 * step, drifts)
         if stepped is None:
@@ -437,13 +428,12 @@ def _search(at: Dynamics, step: float, start: Array, drifts: bool) -> tuple[Arra
 def _late_commands(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding:
     """A delay for which the refitted model is decisively better."""
     size = f"{abs(delay):.2f} ± {error:.1g} s"
+    clause = f"the motion precedes the commands by {size}, which is impossible: they are logged too late"
     if delay > 0:
         clause = (
             f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
             "actuation_delay or thruster_lag), or commands that are logged too early"
         )
-    else:
-        clause = f"the motion precedes the commands by {size}, which is impossible: they are logged too late"
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",

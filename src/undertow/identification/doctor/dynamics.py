@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.estimation.data import Segment, WeakData, inverse_of, prepare
+from undertow.identification.estimation.data import WeakData, inverse_of, prepare
 from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
-from undertow.identification.estimation.residual import Linearised, whitened
+from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.step import normal_equations, prior_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
@@ -119,7 +119,9 @@ class Dynamics:
         model, size = self.fit.model, len(self.residual)
         p = np.array([self.vehicle.value_of(n).value for n in self.vehicle.parameter_names], dtype=float)
         at = whitened(model.linearise(data, p), self.fit.whitening)
-        step = _free_step(at, p[list(model.places)], prior_of(model))
+        # Without bounds, which would cost more than all the rest of a first look.
+        gram, slope = normal_equations(at, p[list(model.places)], prior_of(model))
+        step = -inverse_of(gram) @ slope
         after = mean_square(at.r + at.J @ step, data)[:size]
         return float(np.exp(np.mean(np.log(self.fit.mean_square()[:size] / np.maximum(after, 1e-12)))))
 
@@ -147,16 +149,17 @@ class Dynamics:
     def undone(self, undo: Undo) -> WeakData | None:
         """The data with a mistake undone in every run; None where samples would go missing."""
         runs = tuple(rederived(run, undo) for run in self.runs)
-        segments = tuple(self._segment(runs[s.run], s) for s in self.data.segments)
+        measured = [run.known(self.data.names) for run in runs]
+        commands = [run.matrix(self.data.commands) for run in runs]
+        segments = tuple(
+            replace(s, measured=measured[s.run][s.samples], u=commands[s.run][s.samples])
+            for s in self.data.segments
+        )
         if not all(np.isfinite(s.measured).all() and np.isfinite(s.u).all() for s in segments):
             return None
         before, after = (np.concatenate([s.measured for s in of]) for of in (self.data.segments, segments))
         sigma = self.data.sigma * _other_unit(np.std(before, axis=0), np.std(after, axis=0))
         return replace(self.data, runs=runs, segments=segments, sigma=sigma)
-
-    def _segment(self, run: Run, s: Segment) -> Segment:
-        measured, commands = run.known(self.data.names), run.matrix(self.data.commands)
-        return replace(s, measured=measured[s.samples], u=commands[s.samples])
 
     def explained_by(self, mistake: Mistake) -> bool:
         """Whether the residual of some equation of motion is close to noise once a mistake is corrected."""
@@ -187,18 +190,11 @@ class Dynamics:
 
     def gain(self, fit: WeakFit) -> Gain:
         """What a changed fit is better by."""
-        return Gain(
-            self.vehicle.degrees_of_freedom,
-            self.residual,
-            normalised_mean_square(fit)[: len(self.residual)],
-            self._excited,
-        )
-
-    @property
-    def _excited(self) -> NDArray[np.bool_]:
         size = len(self.residual)
         spread = np.std(np.concatenate([s.measured[:, size:] for s in self.data.segments]), axis=0)
-        return np.asarray(spread > SETTINGS.excited * self.data.sigma[size:])
+        excited = np.asarray(spread > SETTINGS.excited * self.data.sigma[size:])
+        left = normalised_mean_square(fit)[:size]
+        return Gain(self.vehicle.degrees_of_freedom, self.residual, left, excited)
 
 
 @dataclass(frozen=True)
@@ -259,12 +255,6 @@ def normalised_mean_square(fit: WeakFit) -> Array:
     """Mean square residual of a fit in every equation, in units of sensor noise, (2n,)."""
     whitening = fit.model.whitening(fit.data, fit.p)
     return mean_square(whitened(fit.model.linearise(fit.data, fit.p), whitening).r, fit.data)
-
-
-def _free_step(at: Linearised, now: Array, prior: tuple[Array, Array]) -> Array:
-    """Least-squares step without bounds, which would cost more than all the rest of a first look."""
-    gram, slope = normal_equations(at, now, prior)
-    return -inverse_of(gram) @ slope
 
 
 def _other_unit(before: Array, after: Array) -> Array:
@@ -334,15 +324,6 @@ def _reversed(vehicle: Vehicle, names: tuple[str, ...]) -> Mistake:
     return rescaled("reversed_thruster", f"{clause} reversed", factors, len(names), remedy)
 
 
-def both_reversed(vehicle: Vehicle, first: Mistake, second: Mistake) -> Mistake:
-    """Two thrusters reversed."""
-    return _reversed(vehicle, tuple(sorted({*_reversed_in(first), *_reversed_in(second)})))
-
-
-def _reversed_in(mistake: Mistake) -> list[str]:
-    return [e.key for e in mistake.edits(LogMapping())]
-
-
 def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
     """Two thrusters in each other's place, unless they do the same."""
     rows = list(vehicle.dof_indices)
@@ -392,9 +373,8 @@ def decisive_mistake(at: Dynamics, known: Sequence[Mistake]) -> Explanation | No
     """The mistake whose correction explains the motion decisively; None if none does."""
     promising = [m for _, m in _promising(at, known)]
     # Units are many, and neighbours predict alike: they must not crowd out the others.
-    units, others = (
-        [m for m in promising if (m.id in UNITS_OF_MOTION) is is_unit] for is_unit in (True, False)
-    )
+    units = [m for m in promising if m.id in UNITS_OF_MOTION]
+    others = [m for m in promising if m.id not in UNITS_OF_MOTION]
     leading = [*others[: SETTINGS.fitted], *units[: SETTINGS.units_fitted]]
     return _best_explanation(at, [(m, fit) for m in leading if (fit := at.without(m)) is not None])
 
@@ -432,25 +412,21 @@ def dynamic_mistakes(
     None if pose rates and velocities are hardly related: a better fit to such a log is no evidence. Nor is it
     if no command ever changes: a motion without a force is explained by any unit that makes it smaller.
     """
-    if vehicle.command_names and not any(_is_driven(vehicle, run) for run in runs):
+    commands = [run.known(vehicle.command_names) for run in runs]
+    if vehicle.command_names and not any(np.any(np.nanstd(c, axis=0) > 0.0) for c in commands):
         return None
     given = kinematics.mismatch(runs) if kinematics else None
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
-    commands = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
+    wiring = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
     signs = _distinguishable(at, reversed_commands(vehicle))
     # One velocity in another unit than the others, by less than no force could give, is a scale.
     speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
     known = reading_mistakes(mapping, runs)
     known = [m for m in known if m.id != "speed_unit" or len(m.edits(mapping)) == speeds]
     invisible = consistent_with_kinematics(kinematics, runs, at, known)
-    found = decisive_mistake(at, [*invisible, *signs, *commands])
+    found = decisive_mistake(at, [*invisible, *signs, *wiring])
     return found or _two_reversed(vehicle, at, signs)
-
-
-def _is_driven(vehicle: Vehicle, run: Run) -> bool:
-    """Whether any command changes."""
-    return bool(np.any(np.nanstd(run.known(vehicle.command_names), axis=0) > 0.0))
 
 
 def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Explanation | None:
@@ -460,9 +436,8 @@ def _two_reversed(vehicle: Vehicle, at: Dynamics, signs: list[Mistake]) -> Expla
     if len(single) < 3 or not promising:
         return None
     first = promising[0][1]
-    return decisive_mistake(
-        at, [both_reversed(vehicle, first, other) for other in single if other is not first]
-    )
+    names = [{e.key for m in (first, other) for e in m.edits(LogMapping())} for other in single]
+    return decisive_mistake(at, [_reversed(vehicle, tuple(sorted(n))) for n in names if len(n) > 1])
 
 
 def wiring_mistakes(
@@ -554,13 +529,9 @@ def other_mass(at: Dynamics) -> Finding | None:
 def _mass_finding(mass: dict[str, float], gain: Gain, shifted: dict[str, float]) -> Finding:
     """`shifted` are added masses that leave their stated values, in standard deviations."""
     which = "dry" if mass["found"] > mass["stated"] else "wrong"
-    reason = f"with it, {gain.text}"
-    if shifted:
-        sizes = ", ".join(f"{n} {z:+.1f}" for n, z in shifted.items())
-        reason = (
-            f"with m as stated the added masses move away from their stated values ({sizes} standard "
-            "deviations)"
-        )
+    sizes = ", ".join(f"{n} {z:+.1f}" for n, z in shifted.items())
+    away = "with m as stated the added masses move away from their stated values"
+    reason = f"{away} ({sizes} standard deviations)" if shifted else f"with it, {gain.text}"
     return Finding(
         id="dry_mass",
         severity="warning" if shifted else "mistake",

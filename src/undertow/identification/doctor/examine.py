@@ -151,19 +151,17 @@ def refuse_impossible(vehicle: Vehicle, runs: Sequence[Run], *, trust_log: bool 
         where = f"log '{run.source or run.name}'"
         override = "override with --trust-log (trust_log=True)"
         examiner = _of_one(vehicle, run)
-        unmeasured = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
+        silent = sensors.without_measurement(examiner.kinematics, [run]) if examiner.kinematics else None
         refused = _refused(examiner)
-        unmeasured = examiner.unmeasured or unmeasured
         if not examiner.is_timed:
             bursts = next(f.text for f in examiner.findings if f.id == "bursts")
             raise UndertowError(f"log {bursts}, or {override}")
-        if found := refused:
-            finding, edits = found
+        if refused:
             raise UndertowError(
-                f"{where} is impossible: {finding.text}; write {_on_one_line(edits)} into the mapping file "
-                f"(undertow doctor --mend does so), or {override}"
+                f"{where} is impossible: {refused.text}; write {_on_one_line(examiner.edits)} into the "
+                f"mapping file (undertow doctor --mend does so), or {override}"
             )
-        if unmeasured:
+        if unmeasured := examiner.unmeasured or silent:
             raise UndertowError(f"{where}: {unmeasured.text}, or {override}")
 
 
@@ -171,13 +169,13 @@ def _of_one(vehicle: Vehicle, run: Run) -> _Examiner:
     return _Examiner(vehicle, [run], run.mapping or LogMapping())
 
 
-def _refused(examiner: _Examiner) -> tuple[Finding, Edits] | None:
-    """Impossible contents of a log, and their corrections."""
+def _refused(examiner: _Examiner) -> Finding | None:
+    """Impossible contents of a log."""
     examiner.check_samples()
     if examiner.is_timed:
         examiner.undo_reading_mistakes()
         examiner.undo_impossible()
-    return None if examiner.refused is None else (examiner.refused, tuple(examiner.edits))
+    return examiner.refused
 
 
 def _only_wrong(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
@@ -186,7 +184,7 @@ def _only_wrong(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
     Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     """
     found = {r.name: _refused(_of_one(vehicle, r)) for r in runs} if len(runs) > 1 else {}
-    wrong = {name: one[0] for name, one in found.items() if one is not None}
+    wrong = {name: finding for name, finding in found.items() if finding is not None}
     if len(wrong) == len(runs):
         return {}
     return {
@@ -217,6 +215,10 @@ class _Examiner:
         vehicle = self.vehicle
         return (*dict.fromkeys((*vehicle.pose_names, *self.kinematics.rows, *vehicle.velocity_names)),)
 
+    def _use(self, runs: list[Run]) -> None:
+        """Go on with the logs without a mistake."""
+        self.runs, self.kinematics = runs, Kinematics(runs, self.vehicle)
+
     def check_samples(self) -> None:
         self.findings += sampling(self.runs, self._names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
@@ -236,15 +238,13 @@ class _Examiner:
             self.findings.append(found)
             self.unmeasured = found if found.severity == "mistake" else None
             dofs = self.vehicle.degrees_of_freedom
-            self.runs = [velocities_from_pose(run.without(names), dofs) for run in self.runs]
-            self.kinematics = Kinematics(self.runs, self.vehicle)
+            self._use([velocities_from_pose(run.without(names), dofs) for run in self.runs])
 
     def undo_held_values(self) -> None:
         """Read sensors that are slower than the log where they are new: held values look like a delay."""
         held = held_channels(self.runs, self._names, self.mapping)
         if held:
-            self.runs = [self._rederived(run, lambda r: read_when_new(r, held)) for run in self.runs]
-            self.kinematics = Kinematics(self.runs, self.vehicle)
+            self._use([self._rederived(run, lambda r: read_when_new(r, held)) for run in self.runs])
             self._add_edits([edit for edits in held.values() for edit in edits])
 
     def _mend_angles(self, names: Sequence[str]) -> None:
@@ -291,12 +291,6 @@ class _Examiner:
                 return
             self._undo(found, impossible=True)
 
-    def doubt_forces(self) -> None:
-        """Ask for the unit where a motion needs a few times the force commanded."""
-        found = doubtful_unit(self.vehicle, self.runs, self.mapping, self.kinematics)
-        if found is not None:
-            self._doubt(found, [*(r.clause for r in found.rivals), _WEAK_THRUSTERS])
-
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
         for _ in range(_MOST_MISTAKES):
@@ -311,7 +305,9 @@ class _Examiner:
                 break
             self._undo(found)
         if not any(f.severity == "mistake" for f in self.findings):
-            self.doubt_forces()
+            doubtful = doubtful_unit(self.vehicle, self.runs, self.mapping, self.kinematics)
+            if doubtful is not None:
+                self._doubt(doubtful, [*(r.clause for r in doubtful.rivals), _WEAK_THRUSTERS])
         if at is not None:
             self._check_vehicle_file(at)
 
@@ -352,8 +348,7 @@ class _Examiner:
             self.findings.append(mass)
 
     def check_sensors(self) -> None:
-        kinematics = self.kinematics
-        self.findings += sensors.not_compared(kinematics, self.vehicle)
+        self.findings += sensors.not_compared(self.kinematics, self.vehicle)
         self.findings += heading_findings(self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
         self._undo_deviation()
@@ -374,8 +369,7 @@ class _Examiner:
         if found is None:
             return
         self.findings.append(found.finding(self.mapping))
-        self.runs = [self._rederived(run, found.undo) for run in self.runs]
-        self.kinematics = Kinematics(self.runs, self.vehicle)
+        self._use([self._rederived(run, found.undo) for run in self.runs])
         self._add_edits(found.edits(self.mapping))
 
     def _rederived(self, run: Run, undo: Undo) -> Run:
@@ -400,8 +394,7 @@ class _Examiner:
         )
         self.findings.append(finding)
         self.refused = self.refused or (finding if impossible else None)
-        self.runs = [apply(run, mistake.undo) for run in self.runs]
-        self.kinematics = Kinematics(self.runs, self.vehicle)
+        self._use([apply(run, mistake.undo) for run in self.runs])
         self._add_edits(edits)
 
     def _add_edits(self, edits: Iterable[Edit]) -> None:
@@ -422,7 +415,7 @@ class _Examiner:
         )
 
 
-def _on_one_line(edits: Edits) -> str:
+def _on_one_line(edits: Iterable[Edit]) -> str:
     """Changes of a mapping file as `[table] key = value; key = value; [table] ...`."""
     tables: dict[str, list[str]] = {}
     for e in edits:

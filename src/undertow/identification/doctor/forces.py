@@ -45,9 +45,7 @@ from .sensors import clustered_least_squares
 class ForceSettings:
     """How forces are compared."""
 
-    width: float = (
-        2.0  # of test functions, in the narrowest that the sampling allows: what is faster is noise
-    )
+    width: float = 2.0  # of test functions, in the narrowest that the sampling allows: beyond is noise
     cluster: int = 8  # neighbouring test functions that count as one, since they overlap
     # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
     # follow from others.
@@ -337,7 +335,8 @@ class _PlausibilityCheck:
         if not found:
             return None
         text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
-        return Explanation(found[0], text, _force_evidence(worst), found[1:])
+        names = ("gain", "error", "needed", "given")
+        return Explanation(found[0], text, {n: getattr(worst, n) for n in names}, found[1:])
 
     def _certain(self, found: Sequence[Response]) -> _ByKey:
         s = self.settings
@@ -350,7 +349,8 @@ class _PlausibilityCheck:
             all_after = responses.of(self.without(mistake))
             after = self._certain(all_after)
             # Significant responses must remain so: a motion that is scaled away would agree with anything.
-            agree = all(key in after for key in before) and self._agree(beyond, after)
+            near = all(key in after and _within(after[key].gain, self.settings.near) for key in beyond)
+            agree = near and all(key in after for key in before) and all(map(self._possible, after.values()))
             if agree and self._consistent(mistake):
                 score = float(np.mean([abs(np.log(abs(after[key].gain))) for key in before]))
                 seen = sum(r.is_certain(self.settings.errors / 2, 0.0) for r in all_after)
@@ -359,10 +359,6 @@ class _PlausibilityCheck:
 
     def _possible(self, r: Response) -> bool:
         return self.settings.weakest < abs(r.gain) < self.settings.strongest
-
-    def _agree(self, beyond: _ByKey, after: _ByKey) -> bool:
-        near = all(_within(after[key].gain, self.settings.near) for key in beyond)
-        return near and all(map(self._possible, after.values()))
 
     def without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
@@ -438,8 +434,10 @@ class _PlausibilityCheck:
         beyond = {n: size for n, size in sizes.items() if size > limit}
         if not beyond:
             return None
-        mistake, worst = _in_degrees(tuple(beyond)), max(beyond, key=lambda n: beyond[n])
-        size = beyond[worst]
+        worst = max(beyond, key=lambda n: beyond[n])
+        size, factors = beyond[worst], dict.fromkeys(beyond, float(np.radians(1.0)))
+        clause = f"{names_with_verb(tuple(beyond))} in degrees, read as radians"
+        mistake = rescaled("command_unit", clause, factors, len(beyond))
         why = f"{worst} is {size:.4g} rad rms, but no rudder or fin turns by more than {limit:.4g} rad"
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": size, "limit": limit}, [])
 
@@ -452,25 +450,21 @@ class _PlausibilityCheck:
             return None
         worst = max(beyond, key=lambda n: beyond[n])
         known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
-        mistake = (
-            known[0] if known else scaled_commands(tuple(beyond), float(1.0 / np.median([*beyond.values()])))
-        )
+        known = known or [scaled_commands(tuple(beyond), float(1.0 / np.median([*beyond.values()])))]
         value, limit = beyond[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
-        return Explanation(mistake, f"{mistake.clause}: {why}", {"value": value, "limit": limit}, known[1:])
+        return Explanation(known[0], f"{known[0].clause}: {why}", {"value": value, "limit": limit}, known[1:])
 
 
-def exceeded_limits(
-    vehicle: Vehicle, runs: Sequence[Run], settings: PlausibilitySettings = PLAUSIBLE
-) -> Iterator[Finding]:
+def exceeded_limits(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     """Commands beyond the limit of their thruster, which the model does not cut off."""
     cut = {t.name for t in vehicle.thrusters if isinstance(t.law, Curve)} | {s.name for s in vehicle.surfaces}
     if any(isinstance(effect, ThrusterSaturation) for effect in vehicle.effects):
         return
     limits = {n: limit for n, limit in vehicle.command_limits.items() if n not in cut}
-    over = {n: _magnitudes(runs, n) / limit for n, limit in limits.items()}
-    beyond = {n: float(np.mean(ratio > settings.over_limit)) for n, ratio in over.items() if len(ratio)}
-    beyond = {n: share for n, share in beyond.items() if share > settings.over_limit_share}
+    over = {n: np.abs(_logged(runs, n)) / limit for n, limit in limits.items()}
+    beyond = {n: float(np.mean(ratio > PLAUSIBLE.over_limit)) for n, ratio in over.items() if len(ratio)}
+    beyond = {n: share for n, share in beyond.items() if share > PLAUSIBLE.over_limit_share}
     if not beyond:
         return
     worst = max(beyond, key=lambda n: beyond[n])
@@ -487,9 +481,9 @@ def exceeded_limits(
     )
 
 
-def _magnitudes(runs: Sequence[Run], name: str) -> Array:
-    """Magnitudes of a command where it was logged."""
-    data = np.abs(np.concatenate([run.channels[name] for run in runs]))
+def _logged(runs: Sequence[Run], name: str) -> Array:
+    """A command where it was logged."""
+    data: Array = np.concatenate([run.channels[name] for run in runs])
     return data[np.isfinite(data)]
 
 
@@ -498,8 +492,7 @@ def _within(gain: float, factor: float) -> bool:
 
 
 def _rms(runs: Sequence[Run], name: str) -> float:
-    data = np.concatenate([run.channels[name] for run in runs])
-    present: Array = data[np.isfinite(data)]
+    present = _logged(runs, name)
     return float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
 
 
@@ -508,20 +501,14 @@ def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, floa
     return all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items())
 
 
-def _in_degrees(names: tuple[str, ...]) -> Mistake:
-    """Angles of rudders and fins in degrees."""
-    clause = f"{names_with_verb(names)} in degrees, read as radians"
-    return rescaled("command_unit", clause, dict.fromkeys(names, float(np.radians(1.0))), len(names))
-
-
 def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:
     """Commands too large or too small by a factor, rounded if near a power of ten."""
     ten = 10.0 ** round(np.log10(found))
     factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
 
-    verb = "command {} is" if len(names) == 1 else "commands {} are"
+    which = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
     size = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"
-    clause = f"{verb.format(', '.join(names))} {size}"
+    clause = f"{which} {size}"
     # It explains whatever one of the known units would, which comes first.
     return rescaled("command_unit", clause, dict.fromkeys(names, factor), 1 + len(names))
 
@@ -529,14 +516,8 @@ def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:
 def _force_text(r: Response, settings: PlausibilitySettings) -> str:
     what = f"command {r.command} gives" if r.command else "the commands give"
     unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
+    ratio, limit = f"{abs(r.gain):.3g} of what {what}", f"at least {settings.weakest:g}"
     if abs(r.gain) > 1:
         ratio, limit = f"{abs(r.gain):.3g} times what {what}", f"at most {settings.strongest:g}"
-    else:
-        ratio = f"{abs(r.gain):.3g} of what {what}"
-        limit = f"at least {settings.weakest:g}"
     forces = f"{r.needed:.3g} {unit} against {r.given:.3g} {unit} rms"
     return f"the {r.degree_of_freedom} of the log needs {ratio} ({forces}; {limit} can be)"
-
-
-def _force_evidence(r: Response) -> dict[str, float]:
-    return {"gain": r.gain, "error": r.error, "needed": r.needed, "given": r.given}

@@ -174,7 +174,8 @@ class Kinematics:
     def _rates(self, run: Run, s: Segment) -> tuple[Array, Array, Array]:
         at, f, places = self.samples(run, s), s.functions, self.places
         pose_rate = np.einsum("nij,nj->ni", at.jacobian, at.velocity)[:, places]
-        noise = self._noise(run)
+        names = (*POSE, *VELOCITY)
+        noise = np.array([self._noise_of(run, n) if n in self.channels else 0.0 for n in names])
         pose_variance = np.broadcast_to(noise[places] ** 2, pose_rate.shape)
         variance = f.rate.power(2) @ pose_variance + f.value.power(2) @ at.variance(noise)[:, places]
         length = s.length[:, None]
@@ -184,10 +185,6 @@ class Kinematics:
         """Six columns; what the run lacks, or does not matter, is zero."""
         zero = np.zeros(len(run.t))
         return np.column_stack([run.channels[n] if n in self.channels else zero for n in names])
-
-    def _noise(self, run: Run) -> Array:
-        names = (*POSE, *VELOCITY)
-        return np.array([self._noise_of(run, n) if n in self.channels else 0.0 for n in names])
 
     def _noise_of(self, run: Run, name: str) -> float:
         """Noise of a channel; most channels stay as they are when a mistake is undone."""
@@ -216,17 +213,14 @@ class Kinematics:
         """The same for rates that are known."""
         square = [np.mean(a, axis=0) for a in ((rates.pose - rates.velocity) ** 2, rates.variance)]
         power = np.mean(rates.pose**2 + rates.velocity**2, axis=0)
-        total = [max(float(np.sum(power[b])), 1e-30) for b in self.blocks]
+        total = np.array([max(float(np.sum(power[b])), 1e-30) for b in self.blocks])
         share, floor = (
             np.array([np.sum(s[b]) / p for b, p in zip(self.blocks, total, strict=True)]) for s in square
         )
-        return Mismatch(share, np.maximum(floor, SETTINGS.quadrature), self._moves(np.array(total)))
-
-    def _moves(self, power: Array) -> Flags:
-        """Blocks with noticeable motion, relative to the power of all."""
         turns = np.array([self.rows[b[0]] in POSE[3:] for b in self.blocks])
-        of_kind = np.where(turns, power[turns].sum(), power[~turns].sum())
-        return np.asarray(power > SETTINGS.hardly * of_kind)
+        of_kind = np.where(turns, total[turns].sum(), total[~turns].sum())
+        moves = np.asarray(total > SETTINGS.hardly * of_kind)
+        return Mismatch(share, np.maximum(floor, SETTINGS.quadrature), moves)
 
     def changed(self, first: Rates, second: Rates) -> Array:
         """How much of the motion of every block differs between two sets of rates, (b,), as of `Mismatch`."""
@@ -253,12 +247,13 @@ def rms(table: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(table**2, axis=1))))
 
 
-def _measured(runs: Sequence[Run], name: str) -> bool:
+def measured(runs: Sequence[Run], name: str) -> bool:
     """Whether every run has a channel of its own."""
     return all(r.has(name) and name not in r.derived for r in runs)
 
 
-def _changes(runs: Sequence[Run], name: str) -> bool:
+def changes(runs: Sequence[Run], name: str) -> bool:
+    """Whether a channel has more than one value in some run."""
     return any(np.nanmax(r.channels[name]) > np.nanmin(r.channels[name]) for r in runs)
 
 
@@ -268,7 +263,7 @@ def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
     if {"u", "r"} <= {*vehicle.velocity_names}:
         pairs = {"x": "u", "y": "u"} | pairs  # surge and a heading give both, with or without sway
     # A velocity that never changes while the pose does is compared, too: nothing was measured.
-    found = [p for p, v in pairs.items() if _measured(runs, p) and _measured(runs, v) and _changes(runs, p)]
+    found = [p for p, v in pairs.items() if measured(runs, p) and measured(runs, v) and changes(runs, p)]
     turns = "yaw" in vehicle.degrees_of_freedom and not all(r.has("psi") for r in runs)
     return [n for n in found if not (turns and n in ("x", "y"))]
 

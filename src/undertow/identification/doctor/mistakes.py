@@ -34,7 +34,7 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
 
-from .kinematics import Kinematics
+from .kinematics import Kinematics, changes, measured
 
 Channels = dict[str, Array]
 Undo = Callable[[Run], Run]
@@ -90,6 +90,11 @@ def rescaled(
         return tuple(column_edit(mapping, n, times=f) for n, f in factors.items())
 
     return Mistake(kind, clause, scaling(factors), edits, count, vehicle)
+
+
+def in_units(units: Mapping[str, str]) -> Callable[[LogMapping], Edits]:
+    """State other units of channels."""
+    return lambda mapping: tuple(column_edit(mapping, n, unit=unit) for n, unit in units.items())
 
 
 def exchanged(kind: str, clause: str, places: Mapping[str, tuple[str, float]], vehicle: str = "") -> Mistake:
@@ -279,13 +284,10 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
     units = {n: length if n in POSITIONS else speed for n in names}
     read_as = {n: column_of(mapping, n)[1].unit or ("m" if n in POSITIONS else "m/s") for n in names}
     factors = {n: scale_offset(units[n], read_as[n])[0] for n in names}
-
-    def edits(m: LogMapping) -> Edits:
-        return tuple(column_edit(m, n, unit=unit) for n, unit in units.items())
-
     clause = " and ".join(dict.fromkeys(units.values()))
     was = " and ".join(dict.fromkeys(read_as.values()))
-    return Mistake(kind, f"{names_with_verb(names)} in {clause}, read as {was}", scaling(factors), edits)
+    what = f"{names_with_verb(names)} in {clause}, read as {was}"
+    return Mistake(kind, what, scaling(factors), in_units(units))
 
 
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
@@ -303,42 +305,29 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
 
     Left out are mistakes without which a log would lack a channel that it has, as one with x but no y.
     """
-    moving = {
-        n
-        for n in (*POSE, *VELOCITY)
-        if all(r.has(n) and n not in r.derived for r in runs) and any(_changes(r, n) for r in runs)
-    }
+    moving = {n for n in (*POSE, *VELOCITY) if measured(runs, n) and changes(runs, n)}
     # North taken for east leaves no north where only one of them was logged: that cannot be tried.
     few = [run.head(2) for run in runs]
     known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
     return [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
 
 
-def _changes(run: Run, name: str) -> bool:
-    return bool(np.nanmax(run.channels[name]) > np.nanmin(run.channels[name]))
-
-
 # --- units ------------------------------------------------------------------------------------
 def read_in_degrees(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """Angles, rates or both in degrees and read as radians, or the other way round."""
     tilt, turn = (("phi", "theta"), ("p", "q")), (("psi",), ("r",))
-    groups = [
-        (*ANGLES, *RATES),
-        ANGLES,
-        RATES,
-        *((*angles, *rates) for angles, rates in (tilt, turn)),
-        *tilt,
-        *turn,
-    ]
+    both = ((*angles, *rates) for angles, rates in (tilt, turn))
+    groups = [(*ANGLES, *RATES), ANGLES, RATES, *both, *tilt, *turn]
     for names in _present_groups(groups, moving):
         deg = any("deg" in (column_of(mapping, n)[1].unit or "") for n in names)
         is_in, read_as = ("radians", "degrees") if deg else ("degrees", "radians")
         factor = 180 / np.pi if deg else np.pi / 180
+        units = {n: ("rad" if deg else "deg") + ("/s" if n in RATES else "") for n in names}
         yield Mistake(
             "radians_for_degrees" if deg else "degrees_for_radians",
             f"{names_with_verb(names)} in {is_in}, read as {read_as}",
             _rescaled(names, factor, np.pi / 2 if attitude_of(mapping) == "ENU" else 0.0),
-            lambda m, names=names, deg=deg: _unit_edits(m, names, "rad" if deg else "deg"),  # type: ignore[misc]
+            in_units(units),
         )
 
 
@@ -353,10 +342,6 @@ def _rescaled(names: tuple[str, ...], factor: float, heading_zero: float) -> Und
         return new
 
     return undo
-
-
-def _unit_edits(mapping: LogMapping, names: tuple[str, ...], unit: str) -> Edits:
-    return tuple(column_edit(mapping, n, unit=unit + ("/s" if n in RATES else "")) for n in names)
 
 
 # --- axes -------------------------------------------------------------------------------------
@@ -517,7 +502,7 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
             mistake = Mistake(
                 "wrapped_angle",
                 f"{name} jumps by a full turn {count} times",
-                _unwrapping(name),
+                lambda run, name=name: _unwrapped(run, name),  # type: ignore[misc]
                 lambda m, name=name: (column_edit(m, name, wrapped=True),),  # type: ignore[misc]
             )
             text = f"{mistake.clause}: no vehicle turns so fast"
@@ -526,7 +511,8 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
 
 def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
     """Pitch that is too large, or a heading that turns too fast, to be in radians."""
-    tilted = "theta" in names and any(_beyond_upright(run) > _PITCH_SHARE for run in runs)
+    pitch = [_present_angles(run, "theta") for run in runs if "theta" in names]
+    tilted = any(len(p) and np.mean(np.abs(p) > _LARGEST_PITCH) > _PITCH_SHARE for p in pitch)
     turn = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
     if not tilted and turn < _LARGEST_TURN:
         return None
@@ -535,11 +521,9 @@ def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -
     found = next((m for m in known if changed_channels(m, runs[0]) == wanted), None)
     if found is None:
         return None
-    reason = (
-        f"theta reaches {max(np.abs(_present_angles(r, 'theta')).max() for r in runs):.3g} in the log"
-        if tilted
-        else f"psi changes by {turn:.3g} in an ordinary second"
-    )
+    reason = f"psi changes by {turn:.3g} in an ordinary second"
+    if tilted:
+        reason = f"theta reaches {max(np.abs(p).max() for p in pitch):.3g} in the log"
     return Explanation(found, f"{found.clause}: {reason}, which no vehicle can have in radians", {})
 
 
@@ -547,11 +531,6 @@ def changed_channels(mistake: Mistake, run: Run) -> set[str]:
     """Channels that undoing a mistake changes."""
     after = mistake.undo(run)
     return {n for n in run.channels if not np.array_equal(after.channels[n], run.channels[n], equal_nan=True)}
-
-
-def _beyond_upright(run: Run) -> float:
-    data = _present_angles(run, "theta")
-    return float(np.mean(np.abs(data) > _LARGEST_PITCH)) if len(data) else 0.0
 
 
 def _turned_in_a_second(run: Run) -> float:
@@ -566,8 +545,8 @@ def _turned_in_a_second(run: Run) -> float:
     return float(np.median(np.abs(psi[later[inside]] - psi[inside]))) if np.any(inside) else 0.0
 
 
-def _unwrapping(name: str) -> Undo:
-    return lambda run: with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
+def _unwrapped(run: Run, name: str) -> Run:
+    return with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
 
 
 def _full_turns(run: Run, name: str) -> int:

@@ -188,11 +188,8 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     share = lost / (lost + len(run.clock))
     if not len(gaps) and share < SETTINGS.missing:
         return
-    longest = (
-        f", the longest of {gaps.max():.4g} s at t = {run.clock[int(np.argmax(step))]:.5g} s"
-        if len(gaps)
-        else ""
-    )
+    place = run.clock[int(np.argmax(step))]
+    longest = f", the longest of {gaps.max():.4g} s at t = {place:.5g} s" if len(gaps) else ""
     yield Finding(
         id="gaps",
         severity="warning" if share > 5 * SETTINGS.missing else "note",
@@ -229,16 +226,13 @@ def _missing_samples(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
     if worst is None or shares[worst] < SETTINGS.missing:
         return
     several = sorted((n for n in shares if shares[n] >= SETTINGS.missing), key=lambda n: -shares[n])
+    others, removed = ", ".join(n for n in several if n != worst), run.outliers.get(worst)
     yield Finding(
         id="missing_samples",
         severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
         text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
-        + (f", with {out} outliers that were removed" if (out := run.outliers.get(worst)) else "")
-        + (
-            f" (missing samples also in {', '.join(n for n in several if n != worst)})"
-            if len(several) > 1
-            else ""
-        ),
+        + (f", with {removed} outliers that were removed" if removed else "")
+        + (f" (missing samples also in {others})" if others else ""),
         evidence={n: shares[n] for n in several},
     )
 
@@ -446,10 +440,6 @@ class _Motion:
         return np.asarray(whole.reshape(-1, self.rate).mean(axis=1))
 
     @property
-    def noise_of_means(self) -> float:
-        return float(self.noise / np.sqrt(self.rate))
-
-    @property
     def moving(self) -> Array:
         return self.all[np.abs(self.all) > self.threshold]
 
@@ -467,7 +457,8 @@ class _Motion:
     @property
     def reversals(self) -> int:
         """Changes of direction, of speeds that stand out only."""
-        return sum(_sign_changes(part[np.abs(part) > self.threshold]) for part in self.parts)
+        fast = (part[np.abs(part) > self.threshold] for part in self.parts)
+        return sum(int(np.sum(np.diff(np.sign(part)) != 0)) for part in fast)
 
 
 _LINE = 5  # bins of the spectrum that a line takes up, through a Hann window
@@ -477,10 +468,6 @@ def _windowed(part: Array) -> Array:
     there = np.isfinite(part)
     mean = np.mean(part[there]) if there.any() else 0.0
     return np.asarray(np.hanning(len(part)) * np.where(there, part - mean, 0.0))
-
-
-def _sign_changes(values: Array) -> int:
-    return int(np.sum(np.diff(np.sign(values)) != 0))
 
 
 def excitation(vehicle: Vehicle, runs: Sequence[Run]) -> list[DofExcitation]:
@@ -530,7 +517,7 @@ def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | N
 
 def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
     """What a motion, sampled every `step` s, cannot identify; `driven`: whether a command acts on it."""
-    moving, means, noise = motion.moving, motion.means, motion.noise_of_means
+    moving, means, noise = motion.moving, motion.means, float(motion.noise / np.sqrt(motion.rate))
     if not len(moving) or not len(means) or np.sqrt(np.mean(means**2)) < SETTINGS.excited * noise:
         yield "anything: the motion does not exceed its noise"
         return
@@ -590,12 +577,12 @@ def _constant_commands(
         if _is_excited(row) and (acting := _acting_on(vehicle, place)) and still.issuperset(acting)
     ]
     names = [n for n in vehicle.command_names if n in still]
-    clause = (
-        f"nothing that acts on {', '.join(moving)} changes although the vehicle moves there, so the model "
-        "must attribute the motion to something else"
-        if moving
-        else f"what {'they do' if len(names) > 1 else 'it does'} cannot be seen in this log"
-    )
+    clause = f"what {'they do' if len(names) > 1 else 'it does'} cannot be seen in this log"
+    if moving:
+        clause = (
+            f"nothing that acts on {', '.join(moving)} changes although the vehicle moves there, so the "
+            "model must attribute the motion to something else"
+        )
     yield Finding(
         id="still_commands",
         severity="warning" if moving else "note",

@@ -14,7 +14,7 @@ from undertow.identification.logs.mapping import Edit, Edits, LogMapping
 from undertow.identification.logs.run import UNITS, Run
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags
+from undertow.typing import Array
 
 from .kinematics import Kinematics, Mismatch, Rates, Samples, Segment, rms
 from .mistakes import (
@@ -60,9 +60,7 @@ class SensorSettings:
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
     scale_error: float = 0.3  # standard error from which the scale of a velocity is not determined
     unexplained: float = 0.05  # mismatch that is reported where nothing explains it
-    no_signal: float = (
-        1e-3  # share of what the other does below which a pose rate, or a velocity, measures nothing
-    )
+    no_signal: float = 1e-3  # share of the other below which a pose rate, or a velocity, measures nothing
 
 
 SETTINGS = SensorSettings()
@@ -120,12 +118,9 @@ def sensors(kinematics: Kinematics) -> list[Sensor]:
     if linear and kinematics.rows and kinematics.rows[0] in ("x", "y", "z"):
         kinds += _of_linear(linear, angular)
     if angular and kinematics.rows[-1] in ("phi", "theta", "psi"):
-        kinds.append(
-            Sensor("sensor_bias", tuple(f"b_{n} rad/s" for n in angular), _columns_of(_bias, angular), 0.2)
-        )
-        kinds.append(
-            Sensor("sensor_scale", tuple(f"s_{n}" for n in angular), _columns_of(_scale, angular), 0.5)
-        )
+        biases, scales = tuple(f"b_{n} rad/s" for n in angular), tuple(f"s_{n}" for n in angular)
+        kinds.append(Sensor("sensor_bias", biases, _columns_of(_bias, angular), 0.2))
+        kinds.append(Sensor("sensor_scale", scales, _columns_of(_scale, angular), 0.5))
     return kinds
 
 
@@ -223,16 +218,12 @@ def fit_sensor(
 
 def regressor_of(kinematics: Kinematics, runs: Sequence[Run], sensor: Sensor) -> Array:
     """Change of J(eta) nu that each parameter makes, as means over test functions, (K, rows, k)."""
-    return np.concatenate(
-        [_segment_regressor(kinematics, runs[s.run], s, sensor) for s in kinematics.segments]
-    )
-
-
-def _segment_regressor(kinematics: Kinematics, run: Run, s: Segment, sensor: Sensor) -> Array:
-    """Mean of the columns over every test function, (K, rows, k)."""
-    columns = sensor.columns(kinematics.samples(run, s), s)[:, kinematics.places]
-    flat = s.functions.value @ columns.reshape(len(columns), -1)
-    return np.asarray(flat).reshape(-1, *columns.shape[1:]) / s.length[:, None, None]
+    parts = []
+    for s in kinematics.segments:
+        columns = sensor.columns(kinematics.samples(runs[s.run], s), s)[:, kinematics.places]
+        flat = np.asarray(s.functions.value @ columns.reshape(len(columns), -1))
+        parts.append(flat.reshape(-1, *columns.shape[1:]) / s.length[:, None, None])
+    return np.concatenate(parts)
 
 
 def clustered_least_squares(
@@ -375,19 +366,15 @@ def _decisive(
     for mistake in known:
         rates = kinematics.rates([mistake.undo(run) for run in runs])
         after = kinematics.mismatch_of(rates)
-        affected = kinematics.changed(given, rates) > SETTINGS.least_mismatch
-        if not explains(before, after) or _remains(before, after, affected):
+        # Where a mismatch remains although a mistake is involved, that is not the cause there.
+        wrong = inconsistent(before) & (kinematics.changed(given, rates) > SETTINGS.least_mismatch)
+        remains = np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse)
+        if remains or not explains(before, after):
             continue
         units = [m for m in mistake.combined or (mistake,) if m.id in _UNITS]
         if all(_shows_unit(kinematics, runs, unit, mistake, (before, after)) for unit in units):
             found.append((mistake, after))
     return found
-
-
-def _remains(before: Mismatch, after: Mismatch, affected: Flags) -> bool:
-    """Whether a mismatch remains where a mistake is involved: then that is not the cause there."""
-    wrong = inconsistent(before) & affected
-    return bool(np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse))
 
 
 _UNITS = UNITS_OF_MOTION | {"degrees_for_radians"}
@@ -497,7 +484,8 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
         if best is None or not _is_credible(best, before):
             break
         yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
-        rates = _corrected(kinematics, runs, rates, best)
+        change = regressor_of(kinematics, runs, best.sensor) @ best.value
+        rates = Rates(rates.pose, rates.velocity + change, rates.variance)
     left = kinematics.mismatch_of(rates)
     parts = zip(kinematics.blocks, left.excess, inconsistent(left, SETTINGS.unexplained), strict=True)
     for block, excess, differs in parts:
@@ -552,11 +540,6 @@ def _is_credible(fit: SensorFit, before: Mismatch) -> bool:
     return bool(before.total > SETTINGS.reported and certain and better)
 
 
-def _corrected(kinematics: Kinematics, runs: Sequence[Run], rates: Rates, fit: SensorFit) -> Rates:
-    change = regressor_of(kinematics, runs, fit.sensor) @ fit.value
-    return Rates(rates.pose, rates.velocity + change, rates.variance)
-
-
 def _sensor_finding(fit: SensorFit, before: Mismatch, *, drifts: bool) -> Finding:
     """`drifts`: the vehicle may go sideways in turns, which nothing measured and its model leaves out."""
     names = (n.split(" ")[0] for n in fit.sensor.names)
@@ -592,7 +575,9 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
 # --- agreement --------------------------------------------------------------------------------
 def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     """Scale and offset of every velocity against the rate of the pose, where they can be estimated."""
-    names = [n for n in VELOCITY if n in kinematics.channels and _has_pose_rate(kinematics, n)]
+    kinds = ((VELOCITY[:3], POSE[:3]), (VELOCITY[3:], POSE[3:]))
+    seen = [v for v, pose in kinds if {*pose} & {*kinematics.rows}]
+    names = [n for group in seen for n in group if n in kinematics.channels]
     fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
     size = len(names)
     scale, offset = 1.0 + fit.value[:size], fit.value[size:]
@@ -602,18 +587,13 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
         if e < SETTINGS.scale_error
     ]
     if lines:
+        values = [*scale.tolist(), *offset.tolist()]
         yield Finding(
             id="agreement",
             severity="note",
             text=f"pose rate over velocity: {'; '.join(lines)}",
-            evidence=dict(zip((f"scale_{n}" for n in names), scale.tolist(), strict=True))
-            | dict(zip((f"offset_{n}" for n in names), offset.tolist(), strict=True)),
+            evidence=dict(zip(fit.sensor.names, values, strict=True)),
         )
-
-
-def _has_pose_rate(kinematics: Kinematics, velocity: str) -> bool:
-    linear, rows = VELOCITY.index(velocity) < 3, set(kinematics.rows)
-    return bool(rows & ({"x", "y", "z"} if linear else {"phi", "theta", "psi"}))
 
 
 def _scale_and_offset(names: list[str]) -> Sensor:

@@ -282,7 +282,8 @@ def by_signs(
         return found
     clauses = ", or ".join(m.clause for m in possible)
     if found is not None and (not evidence or [m.clause for m in possible] == [found.mistake.clause]):
-        return replace(found, mistake=possible[0], rivals=possible[1:], text=clauses + _reason(found))
+        text = clauses + found.text.removeprefix(found.mistake.clause)
+        return replace(found, mistake=possible[0], rivals=possible[1:], text=text)
     return Explanation(possible[0], f"{clauses}: {why}", evidence, possible[1:])
 
 
@@ -293,10 +294,6 @@ def suspected(signs: Signs, known: Callable[[], list[Mistake]]) -> Explanation |
     if not possible or not evidence:
         return None
     return Explanation(possible[0], f"{possible[0].clause}: {why}", evidence, possible[1:])
-
-
-def _reason(found: Explanation) -> str:
-    return found.text.removeprefix(found.mistake.clause)
 
 
 # --- squares ----------------------------------------------------------------------------------
@@ -338,13 +335,9 @@ def _with_signs(effect: Wrench) -> Effect:
     kind = type(effect)
 
     def wrench(self: Wrench, s: Signals) -> sm.Matrix:
-        found = kind.wrench(self, s)
-        rows = [_signed(found[i], (s.nu[i], s.nu_r[i])) for i in range(6)]
-        return sm.Matrix(rows)
+        signed = [{v**2: sm.Abs(v) * v for v in (s.nu[i], s.nu_r[i])} for i in range(6)]
+        rows = zip(kind.wrench(self, s), signed, strict=True)
+        return sm.Matrix([sm.sympify(row, strict=True).xreplace(meanings) for row, meanings in rows])
 
     # The contract of an effect is kept: only its statement changes.
     return type(kind.__name__, (kind,), {"wrench": wrench, "__doc__": kind.__doc__})(effect.thrusters)
-
-
-def _signed(force: sm.Expr, velocities: tuple[sm.Symbol, ...]) -> sm.Expr:
-    return sm.sympify(force, strict=True).xreplace({v**2: sm.Abs(v) * v for v in velocities})
