@@ -134,14 +134,12 @@ def at_full_rate(chosen: Chosen, logs: Sequence[LongLog]) -> list[Run]:
                 if np.any((run.t >= start) & (run.t <= end)):
                     of_span.append(run.slice(start, end))
         runs = [reduce(joined, of_span) for of_span in pieces]
-        named = [_segment_of(run, spool, span) for run, span in zip(runs, spans, strict=True)]
+        whole, named = spool.template, []
+        for run, (start, end) in zip(runs, spans, strict=True):
+            name = f"{whole.name} [{start:.0f}-{end:.0f} s]"
+            named.append(replace(run, name=name, part_of=whole.origin, sha256=whole.sha256, dropped=0))
         found += [replace(named[0], dropped=spool.dropped), *named[1:]] if named else []
     return [velocities_from_pose(run, chosen.vehicle.degrees_of_freedom) for run in found]
-
-
-def _segment_of(run: Run, spool: Spool, span: tuple[float, float]) -> Run:
-    name = f"{spool.template.name} [{span[0]:.0f}-{span[1]:.0f} s]"
-    return replace(run, name=name, part_of=spool.template.origin, sha256=spool.template.sha256, dropped=0)
 
 
 @dataclass(frozen=True)
@@ -185,7 +183,10 @@ def choose(
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "extracting segments")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
-    runs, validation = ([_run(vehicle, spools, s) for s in merged(own)] for own in taken)
+    cut_out = [[spools[s.log].run(s.first, s.stop) for s in merged(own)] for own in taken]
+    runs, validation = (
+        [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in own] for own in cut_out
+    )
     result = _result(vehicle, spools, found, cut, kept, pools, choices)
     return Chosen(vehicle, runs, validation, result, spools, [*taken[0], *taken[1]])
 
@@ -247,10 +248,6 @@ def _chosen(regressor: Regressor, pool: list[Segment], spools: Sequence[Spool], 
     return most_informative(information, [s.samples for s in pool], budget)
 
 
-def _run(vehicle: Vehicle, spools: Sequence[Spool], s: Segment) -> Run:
-    return velocities_from_pose(spools[s.log].run(s.first, s.stop), vehicle.degrees_of_freedom)
-
-
 def _result(
     vehicle: Vehicle,
     spools: Sequence[Spool],
@@ -262,7 +259,11 @@ def _result(
 ) -> LongLogs:
     motions, work = vehicle.degrees_of_freedom, choices[0]
     roles: tuple[Role, Role] = ("train", "holdout")
-    tables = zip(pools, choices, roles, strict=True)
+    chosen = [
+        _segment(spools[pool[k].log], pool[k], gain, role, motions)
+        for pool, choice, role in zip(pools, choices, roles, strict=True)
+        for k, gain in zip(choice.places, choice.gain, strict=True)
+    ]
     seconds = float(np.median([s.samples for s in cut])) * found.step * found.factor
     return LongLogs(
         logs=[_whole(spool, i in kept) for i, spool in enumerate(spools)],
@@ -272,7 +273,7 @@ def _result(
         slowest=json_ready(found.slowest),
         stretches=len(cut),
         seconds=seconds,
-        chosen=[s for pool, choice, role in tables for s in _segments(spools, pool, choice, role, motions)],
+        chosen=chosen,
         information_share=work.total_share,
         information_share_by_motion=dict(zip(motions, work.share.tolist(), strict=True)),
     )
@@ -292,15 +293,6 @@ def _whole(spool: Spool, holdout: bool) -> WholeLog:
         missing=spool.missing,
         holdout=holdout,
     )
-
-
-def _segments(
-    spools: Sequence[Spool], pool: list[Segment], choice: Choice, role: Role, motions: Sequence[str]
-) -> list[ChosenSegment]:
-    return [
-        _segment(spools[pool[k].log], pool[k], gain, role, motions)
-        for k, gain in zip(choice.places, choice.gain, strict=True)
-    ]
 
 
 def _segment(spool: Spool, s: Segment, gain: Array, role: Role, motions: Sequence[str]) -> ChosenSegment:
@@ -444,15 +436,8 @@ def _log_det(matrix: Array) -> float:
 
 
 # --- the errors of models over the rest of the logs, a piece at a time ---------------------------------
-@dataclass(frozen=True)
-class CheckSettings:
-    """Numbers of the check of models over the rest of the logs."""
-
-    rows: int = 20_000  # of a piece, in memory at a time
-    horizon: float = 5.0  # s that are predicted from each measured start, as by `undertow compare`
-
-
-CHECK = CheckSettings()
+_CHECKED_ROWS = 20_000  # of a piece, in memory at a time
+_HORIZON = 5.0  # s that are predicted from each measured start, as by `undertow compare`
 
 
 @dataclass
@@ -483,7 +468,7 @@ def with_errors_on_rest(
     sums = {name: _ErrorSums(Predictor(Functions(vehicle))) for name, vehicle in models.items()}
     motions: list[tuple[Array, Array]] = []
     seconds, samples, windows = 0.0, 0, 0
-    pieces = list(without(chosen.spools, chosen.used, CHECK.rows))
+    pieces = list(without(chosen.spools, chosen.used, _CHECKED_ROWS))
     for done, piece in enumerate(pieces):
         progress(done / len(pieces), "checking the rest")
         try:
@@ -507,7 +492,7 @@ def with_errors_on_rest(
     rest = Rest(
         seconds=seconds,
         samples=samples,
-        horizon=CHECK.horizon,
+        horizon=_HORIZON,
         windows=windows,
         models=[_errors(name, own, size, names) for name, own in sums.items()],
     )
@@ -520,7 +505,7 @@ def _predicted(
     """Windows of a piece predicted by every model."""
     fitted = {name: adapted(vehicle, run) for name, vehicle in models.items()}
     begin = max(float(rest.t[0]) for _, rest in fitted.values())
-    windows = cut([run.slice(begin)], next(iter(models.values())), CHECK.horizon)
+    windows = cut([run.slice(begin)], next(iter(models.values())), _HORIZON)
     return {
         name: predict_each([vehicle], windows, sums[name].predictor) for name, (vehicle, _) in fitted.items()
     }

@@ -79,18 +79,13 @@ def traces(
     if given is not None:
         predictions["given"] = predict(given, found, compiled=False)
     windows = f"every {before.result.horizon:g} s from the measured motion"
-    starts = np.bincount(found.run, minlength=len(found.runs)).tolist()
-    manners = [_without_correction(count) if free else windows for count in starts]
-    return [
-        RunTraces(run.name, tuple(_traces(i, predictions)), f"simulated {manner}")
-        for i, (run, manner) in enumerate(zip(found.runs, manners, strict=True))
-    ]
-
-
-def _without_correction(starts: int) -> str:
-    if starts < 2:
-        return "without any correction"
-    return f"without any correction between gaps, in {starts} pieces that start from the measured motion"
+    traced = []
+    for i, run in enumerate(found.runs):
+        starts = int(np.count_nonzero(found.run == i))
+        pieces = f" between gaps, in {starts} pieces that start from the measured motion"
+        manner = f"without any correction{pieces if starts > 1 else ''}" if free else windows
+        traced.append(RunTraces(run.name, tuple(_traces(i, predictions)), f"simulated {manner}"))
+    return traced
 
 
 def simulated(vehicle: Vehicle, runs: Sequence[Run], horizon: float | None) -> list[RunTraces]:
@@ -183,12 +178,9 @@ def comparison_pictures(comparison: Comparison) -> dict[str, Figure]:
         drawn[f"residual_{dof}"] = residual_against(leading(found, dof), names)
     for kind, free in (("ahead", False), ("free_run", True)):
         for i, run in enumerate(traces(comparison, free=free), start=1):
-            drawn[f"{kind}_{i}_{_safe(run.run)}"] = measured_vs_simulated(run, names)
+            name = re.sub(r"[^A-Za-z0-9_.-]", "_", run.run)[:60]
+            drawn[f"{kind}_{i}_{name}"] = measured_vs_simulated(run, names)
     return drawn
-
-
-def _safe(name: str) -> str:
-    return "".join(c if (c.isalnum() and c.isascii()) or c in "-_." else "_" for c in name)[:60]
 
 
 # Panels for each degree of freedom: those of the variables that the residual follows most.
@@ -210,13 +202,18 @@ def report_data(
     result = before.result
     both = [c for c in (before, after) if c is not None]
     found = curves(before, after)
+    # The velocities come first, which are fitted; the pose drifts in a free run.
+    runs = [
+        replace(run, traces=tuple(sorted(run.traces, key=lambda t: t.channel not in VELOCITY)))
+        for run in traces(before, after, free=True, given=given)
+    ]
     ahead = f"over {result.horizon:g} s, from {result.windows} measured starts"
     return ReportData(
         before=names[0],
         after=names[1],
         headlines=tuple(f"{name}: {c.result.headline}" for name, c in zip(names, both, strict=False)),
         maps=(errors_by_regime(before, after),),
-        runs=tuple(_velocities_first(run) for run in traces(before, after, free=True, given=given)),
+        runs=tuple(runs),
         residuals=tuple(c for dof in result.degrees_of_freedom for c in leading(found, dof, _MOST_VARIABLES)),
         budgets=tuple(budgets(both[-1])),
         fits=_fits(before, after),
@@ -234,11 +231,6 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:  # installed without metadata, by a system's own packages
             found[name] = "version unknown"
     return found
-
-
-def _velocities_first(run: RunTraces) -> RunTraces:
-    """The velocities come first, which are fitted; the pose drifts in a free run."""
-    return replace(run, traces=tuple(sorted(run.traces, key=lambda t: t.channel not in VELOCITY)))
 
 
 def _fits(before: Comparison, after: Comparison | None) -> Listing:
@@ -307,10 +299,9 @@ def with_error(value: float, error: float | None, unit: str) -> str:
     if error is None or not isfinite(error) or not isfinite(value) or error <= 0:
         return quantity(value, unit)
     places = max(0, 1 - floor(log10(error)))
+    number = f"{value:.{places}f} ± {error:.{places}f}"
     if places > 8 or error >= 1e5:
         number = f"{value:.4g} ± {error:.2g}"
-    else:
-        number = f"{value:.{places}f} ± {error:.{places}f}"
     shown = unit_text(unit)
     return (number if shown in ("", "1") else f"({number}) {shown}").replace("-", "−")
 
@@ -368,17 +359,8 @@ def has_influence(candidate: Ranked, diagnosis: Diagnosis) -> bool:
 @cache
 def _template() -> Template:
     environment = templates("undertow.identification.report", html=True)
-    tools: list[Callable[..., str]] = [
-        chance,
-        estimate_text,
-        parameter_text,
-        percent,
-        prior_text,
-        quantity,
-        significance_text,
-        with_error,
-        unit_text,
-    ]
+    tools: list[Callable[..., str]] = [chance, estimate_text, parameter_text, percent, prior_text, quantity]
+    tools += [significance_text, with_error, unit_text]
     environment.filters |= {tool.__name__: tool for tool in tools}
     return environment.get_template("report.html")
 

@@ -159,7 +159,8 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
     `first` says what the first step is.
     """
     horizons = list(dict.fromkeys(h for step in steps for h in step.ahead))
-    names = [_step_name(step, "refitted" if i else first) for i, step in enumerate(steps)]
+    added = ("\n".join(f"+ {plain(name, 24)}" for name in step.changes) for step in steps)
+    names = [name or ("refitted" if i else first) for i, name in enumerate(added)]
     with look():
         picture, axes = figure(3.4, 1, 2 if horizons else 1)
         if horizons:
@@ -180,10 +181,6 @@ def falling_error(steps: Sequence[Step], first: str = "model as given") -> Figur
         axis.set_ylabel("validation error [times noise]")
         axis.grid(axis="y")
     return picture
-
-
-def _step_name(step: Step, otherwise: str) -> str:
-    return "\n".join(f"+ {plain(name, 24)}" for name in step.changes) or otherwise
 
 
 def _predictions(axis: Any, steps: Sequence[Step], horizons: Sequence[str], names: Sequence[str]) -> None:
@@ -267,15 +264,8 @@ def _heat(axis: Any, table: Array, errors: ErrorMap) -> Any:
         there = np.isfinite(value)
         # On the filled cells the text has a colour of its own; an empty cell shows the page.
         colour = ("white" if norm(value) > 0.6 else "#202020") if there else FAINT
-        axis.text(
-            j + 0.5,
-            i + 0.5,
-            (f"{value:.2g}" if value < 99.5 else f"{value:.0f}") if there else "–",
-            ha="center",
-            va="center",
-            color=colour,
-            fontsize=8.5,
-        )
+        number = (f"{value:.2g}" if value < 99.5 else f"{value:.0f}") if there else "–"
+        axis.text(j + 0.5, i + 0.5, number, ha="center", va="center", color=colour, fontsize=8.5)
     return image
 
 
@@ -453,11 +443,7 @@ def _used_panel(axis: Any, log: FieldLog) -> None:
         axis.plot(drive[0], np.abs(drive[1]).max(axis=1), color=AFTER, linewidth=0.8)
     for first, last in log.intervals:
         axis.axvspan(first, last, color=FLOOR, alpha=0.2, linewidth=0)
-    axis.set_title(
-        f"{log.path.name}: the shaded part is used"
-        if log.intervals
-        else f"{log.path.name}: all of it is used"
-    )
+    axis.set_title(f"{log.path.name}: {'the shaded part' if log.intervals else 'all of it'} is used")
     axis.set_xlabel("time [s]")
     axis.set_ylabel("largest command")
 

@@ -83,10 +83,8 @@ class FitResult(ResultTable):
 
     def sentence(self) -> str:
         """How the fit changes the error, worded by the numbers."""
-        before, after = (
-            {h: e for h, e in ahead.items() if e is not None}
-            for ahead in (self.ahead_before, self.ahead_after)
-        )
+        known = ({h: e for h, e in a.items() if e is not None} for a in (self.ahead_before, self.ahead_after))
+        before, after = known
         change = f"Refitting {changes(before, after) or 'changes nothing'} on the validation data."
         return f"{change} {useless({c.velocity: c.after for c in self.channels})}".strip()
 
@@ -151,7 +149,9 @@ def _change(addition: Addition) -> str:
     if addition.helps:
         return f"{change}."
     before, after = addition.ahead
-    errors = f"over all horizons together the error {_verb(before, after)}"
+    verb = "rises" if rises(before, after) else "falls" if rises(after, before) else ""
+    moves = f"{verb} from {percentage(before)} to" if verb else "stays at"
+    errors = f"over all horizons together the error {moves} {percentage(after)} %"
     if rises(before, after):
         return f"{change}; {errors}, so it does not improve predictions enough to be added."
     old, new = addition.before.error, addition.after.error
@@ -160,10 +160,3 @@ def _change(addition: Addition) -> str:
         f"{change}; {errors}, and it has to fall by {DEFAULT.worth:.0%}; the error of "
         f"the force {force} ({old:.4g} to {new:.4g} times the noise)."
     )
-
-
-def _verb(before: float, after: float) -> str:
-    """How one error changes, in words that follow from the digits shown."""
-    verb = "rises" if rises(before, after) else "falls" if rises(after, before) else ""
-    change = f"{verb} from {percentage(before)} to" if verb else "stays at"
-    return f"{change} {percentage(after)} %"

@@ -68,33 +68,25 @@ class Timing:
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One term of a force: a parameter times factors.
-
-    `row` is which of the six forces and moments it is part of, `column` the factors as the diagnosis writes
-    them: ``("cos",)`` or ``("sin",)`` for an oscillation with the angular frequency `timing`. With `per_run`
-    the parameter has a value in every run.
-    """
+    """One term of a force: a parameter times factors."""
 
     name: str
     unit: str
     about: str
-    row: int
+    row: int  # which of the six forces and moments it is part of
+    # factors as the diagnosis writes them; ("cos",) or ("sin",) of an oscillation with the frequency `timing`
     column: Column
     timing: Timing | None = None
-    per_run: bool = False
+    per_run: bool = False  # whether the parameter has a value in every run
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """The content of an effect file.
+    """The content of an effect file."""
 
-    `about` is the first line of its docstring, `origin` paragraphs on where the terms come from, `signature`
-    the sign of the effect in a log.
-    """
-
-    about: str
-    origin: tuple[str, ...]
-    signature: str
+    about: str  # first line of its docstring
+    origin: tuple[str, ...]  # paragraphs on where the terms come from
+    signature: str  # sign of the effect in a log
     reference: str
     terms: tuple[Coefficient, ...]
 
@@ -120,7 +112,7 @@ def suggested(diagnosis: Diagnosis, source: str) -> Suggestion:
             f"'{source}' has no term that an effect could state; its verdict is {diagnosis.verdict}: leave "
             "--from out for an empty one"
         )
-    described = [force for force in diagnosis.remaining if _is_described(force)]
+    described = [f for f in diagnosis.remaining if f.depends_on or f.spectrum or f.between_runs]
     logs = ", ".join(r.name for r in diagnosis.runs)
     added = f" with {listed(diagnosis.effects)} added" if diagnosis.effects else ""
     labels = dict.fromkeys(label for force in described for label in _labels(force))
@@ -145,10 +137,6 @@ def effect_of(remaining: Sequence[Remaining], seconds: float) -> type[Effect]:
         file = Path(folder) / "what_remains.py"
         file.write_text(effect_file(file.stem, file.name, Suggestion(*words, terms_of(remaining, seconds))))
         return load_effects(file)[0]
-
-
-def _is_described(force: Remaining) -> bool:
-    return bool(force.depends_on or force.spectrum or force.between_runs)
 
 
 def _labels(force: Remaining) -> Iterator[str]:
@@ -182,7 +170,10 @@ def _dependent(dependence: Dependence, row: int, seconds: float) -> Iterator[Coe
     what = f"{DOFS[row]} {'force' if row < 3 else 'moment'}"
     d = dependence
     for factors, value, error in zip(d.columns, d.coefficients, d.standard_errors, strict=False):
-        column = _checked(factors)
+        for factor in factors:
+            if not is_factor(factor):
+                raise UndertowError(f"'{factor[:40]}' is not a factor of a term: is this a diagnosis?")
+        column = tuple(factors)
         time = step_time(column)
         per = "per" if time is None else "of"
         about = f"{what} {per} {label_of(column)}" if column else what
@@ -197,17 +188,8 @@ def _step(found: str, force: str, seconds: float) -> Timing:
     time, apart = float(found), seconds / SETTINGS.step_times
     low, high = sorted((0.1 * time, time + copysign(apart, time)))
     bounds = max(low, time - apart), min(high, time + apart)
-    name = f"t_{force}_{identifier(found)}"
-    return Timing(
-        name, "s", "time of the step", time, 0.5 * apart, bounds, abs(time) / (SETTINGS.step_width * apart)
-    )
-
-
-def _checked(factors: Sequence[str]) -> Column:
-    for factor in factors:
-        if not is_factor(factor):
-            raise UndertowError(f"'{factor[:40]}' is not a factor of a term: is this a diagnosis?")
-    return tuple(factors)
+    name, sharpness = f"t_{force}_{identifier(found)}", abs(time) / (SETTINGS.step_width * apart)
+    return Timing(name, "s", "time of the step", time, 0.5 * apart, bounds, sharpness)
 
 
 def _periodic(spectrum: Spectrum, row: int, seconds: float) -> Iterator[Coefficient]:
@@ -322,7 +304,8 @@ def _template() -> Template:
 
 
 def _content(effect_id: str, file: str, suggestion: Suggestion) -> dict[str, Any]:
-    commands = _commands(suggestion.terms)
+    factors = (command_of(factor) for term in suggestion.terms for factor in term.column)
+    commands = list(dict.fromkeys(name for name in factors if name is not None))
     variables = _variables(commands)
     rows = [[t for t in suggestion.terms if t.row == i] for i in range(6)]
     return {
@@ -354,11 +337,6 @@ def _split(text: str) -> list[str]:
 
 
 # --- code -------------------------------------------------------------------------------------
-def _commands(terms: tuple[Coefficient, ...]) -> list[str]:
-    names = (command_of(f) for t in terms for f in t.column)
-    return list(dict.fromkeys(n for n in names if n is not None))
-
-
 def _is_force(command: str) -> bool:
     return command in {f"tau_{f}" for f in FORCE}
 
@@ -384,15 +362,14 @@ def _signals(terms: tuple[Coefficient, ...], variables: dict[str, str]) -> Itera
 
 
 def _code(term: Coefficient, variables: dict[str, str]) -> str:
-    if term.timing is not None:
-        when = f"self.{term.timing.name}"
-        if term.timing.sharpness:
-            sharpness = f"{term.timing.sharpness:.4g}"
-            # x / sqrt(1 + x^2) has a slope in its time also far from the step, unlike tanh.
-            step = f"(1 + sm.sin(sm.atan({sharpness} * (s.t / {when} - 1)))) / 2"
-            return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column[1:]), step])
-        return f"self.{term.name} * sm.{term.column[0]}({when} * s.t)"
-    return " * ".join([f"self.{term.name}", *(_factor(f, variables) for f in term.column)])
+    timing, factors = term.timing, [_factor(f, variables) for f in term.column]
+    if timing is not None and timing.sharpness:
+        # x / sqrt(1 + x^2) has a slope in its time also far from the step, unlike tanh.
+        step = f"(1 + sm.sin(sm.atan({timing.sharpness:.4g} * (s.t / self.{timing.name} - 1)))) / 2"
+        factors = [*factors[1:], step]
+    elif timing is not None:
+        factors = [f"sm.{term.column[0]}(self.{timing.name} * s.t)"]
+    return " * ".join([f"self.{term.name}", *factors])
 
 
 def _factor(factor: str, variables: dict[str, str]) -> str:

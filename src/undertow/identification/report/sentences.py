@@ -154,7 +154,8 @@ _SMALLEST = 0.002  # that a few thousand draws determine
 
 def errors(ahead: Mapping[str, float]) -> str:
     """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
-    return listed([f"{_article(h)} {_error(h)} of {percentage(ahead.get(h))} %" for h in _horizons([ahead])])
+    articles = {h: "an" if re.match(r"8|1[18]\D", h) else "a" for h in _horizons([ahead])}
+    return listed([f"{a} {_error(h)} of {percentage(ahead.get(h))} %" for h, a in articles.items()])
 
 
 def as_stated(given: Step, after: Step, changed: str) -> str:
@@ -185,11 +186,6 @@ def refit_is_worse(stated: Mapping[str, float], refitted: Mapping[str, float], t
 def _horizons(found: Iterable[Mapping[str, float]]) -> list[str]:
     names = list(dict.fromkeys(h for ahead in found for h in ahead))
     return [h for h in names if h.endswith(" s")] or names
-
-
-def _article(horizon: str) -> str:
-    """ "an" before eight, eleven and eighteen."""
-    return "an" if re.match(r"8|1[18]\D", horizon) else "a"
 
 
 def _error(horizon: str) -> str:
@@ -234,7 +230,8 @@ def _rest_of_headline(headline: str) -> str:
 
 def first_sentence(diagnosis: Diagnosis) -> str:
     """The result in terms of prediction errors on the validation data, and what can be done about it."""
-    on_validation = f"on {_validation_data(diagnosis)}"
+    whole = any(run.role == "holdout" for run in diagnosis.runs)
+    on_validation = f"on {'validation runs' if whole else 'segments of the logs that were not fitted'}"
     now = errors(diagnosis.last_step.ahead)
     refitted = f"the refitted model has {now} {on_validation}" if now else "the refitted model fails"
     change = f"{_adding(diagnosis)} {_change(diagnosis)} {on_validation}"
@@ -242,24 +239,20 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     also = f"; adding {helping} as well improves predictions further, without establishing a cause"
     disturbance = "; the rest is sensor noise and a disturbance that no model of these signals can predict"
     use = disturbance if diagnosis.predictable else ", and can be used as it is"
-    not_the_cause = (
-        "it is not established as the cause: use it to predict, not to explain."
-        if len(diagnosis.helps) < 2
-        else "they are not established as the cause: use them to predict, not to explain."
-    )
-    apart = (
-        ": record the run that tells them apart before concluding that one of them is the cause"
-        if _separable(diagnosis)
-        else (
+    alike = dict.fromkeys(e for s in diagnosis.indistinguishable for e in s.effects)
+    others = " or ".join(e for e in alike if e not in diagnosis.effects) or "others"
+    they, them = ("it is", "it") if len(diagnosis.helps) < 2 else ("they are", "them")
+    not_the_cause = f"{they} not established as the cause: use {them} to predict, not to explain."
+    apart = ": record the run that tells them apart before concluding that one of them is the cause"
+    if not _separable(diagnosis):
+        apart = (
             ", and no run is known that would tell them apart: use any of them for prediction, but do not "
             "regard any as the cause"
         )
-    )
     sentences: dict[str, str] = {
         "adequate": f"These logs show nothing missing: {refitted}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {_sets(diagnosis)} would "
-        f"achieve the same, or most of it{apart}.",
+        "indistinguishable": f"{change}, but {others} would achieve the same, or most of it{apart}.",
         "helps_prediction": f"{change}, but {not_the_cause}",
         "not_identifiable": f"Something is missing, but these logs do not say what: {refitted}; record a run "
         "with different motions.",
@@ -298,23 +291,14 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
     if diagnosis.verdict == "adequate":
         return line.with_holdout(["fit"], "--out", line.vehicle_file("fitted"))
     if _has_terms(diagnosis):
-        return _effect_from_residual(line)
+        make = "undertow effects new my_force --from "
+        if line.json_file:
+            return make + shlex.quote(line.json_file)
+        return f"{line.with_holdout(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
     if diagnosis.verdict == "not_identifiable" and plannable:
         return line.on_logs(["plan"], "--out", "plan.csv")
     reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
     return replace(line, options=reading).on_logs(["doctor"])
-
-
-def _effect_from_residual(line: CommandLine) -> str:
-    make = "undertow effects new my_force --from "
-    if line.json_file:
-        return make + shlex.quote(line.json_file)
-    return f"{line.with_holdout(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
-
-
-def _validation_data(diagnosis: Diagnosis) -> str:
-    whole = any(run.role == "holdout" for run in diagnosis.runs)
-    return "validation runs" if whole else "segments of the logs that were not fitted"
 
 
 def _effects_mentioned(diagnosis: Diagnosis) -> list[str]:
@@ -332,19 +316,10 @@ def _adding(diagnosis: Diagnosis) -> str:
 def _change(diagnosis: Diagnosis) -> str:
     """How the effects, and changed values, affect the error."""
     effects = set(_effects_mentioned(diagnosis))
-    before, after = _without(diagnosis), [s for s in diagnosis.steps if set(s.added) <= effects][-1]
-    by_horizon = step_changes(before, after)
-    return by_horizon or f"brings the error from {before.error:.3g} to {after.error:.3g} times the noise"
-
-
-def _without(diagnosis: Diagnosis) -> Step:
-    """The refitted model before anything was added to it."""
-    return diagnosis.steps[0] if diagnosis.freed else [s for s in diagnosis.steps if not s.added][-1]
-
-
-def _sets(diagnosis: Diagnosis) -> str:
-    others = dict.fromkeys(e for s in diagnosis.indistinguishable for e in s.effects)
-    return " or ".join(e for e in others if e not in diagnosis.effects) or "others"
+    plain = diagnosis.steps[0] if diagnosis.freed else [s for s in diagnosis.steps if not s.added][-1]
+    after = [s for s in diagnosis.steps if set(s.added) <= effects][-1]
+    by_horizon = step_changes(plain, after)
+    return by_horizon or f"brings the error from {plain.error:.3g} to {after.error:.3g} times the noise"
 
 
 def _has_terms(diagnosis: Diagnosis) -> bool:
