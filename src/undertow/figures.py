@@ -129,9 +129,10 @@ def save_png(picture: Figure, path: Path) -> None:
 def save_pictures(drawn: Mapping[str, Figure], folder: Path) -> list[Path]:
     """Write pictures into a folder, which is made, each under its name; the paths."""
     make_folder(folder)
-    for name, picture in drawn.items():
-        save_png(picture, folder / f"{name}.png")
-    return [folder / f"{name}.png" for name in drawn]
+    places = [folder / f"{name}.png" for name in drawn]
+    for place, picture in zip(places, drawn.values(), strict=True):
+        save_png(picture, place)
+    return places
 
 
 def svg(picture: Figure, prefix: str) -> str:

@@ -101,13 +101,13 @@ def files_beside(path: Path) -> list[str]:
 def read_toml(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """Read a TOML file; what would make a parser work for minutes is refused before it is parsed."""
     text, where = read_text(path, kind), os.fspath(path)
-    _refuse_depth(text, where, kind, STATEMENTS)
+    _refuse_depth(text, where, kind)
     try:
         content = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError; integers of thousands of digits; days that are none
         reason = str(error).partition("; use sys.")[0]  # the remedy of Python is for programmers
         raise UndertowError(f"{where}: not valid TOML: {reason}") from error
-    _refuse_integers(content, "", where, STATEMENTS.integer)
+    _refuse_integers(content, "", where)
     return content
 
 
@@ -115,7 +115,7 @@ def read_json(path: str | os.PathLike[str], kind: str) -> str:
     """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check."""
     text = read_text(path, kind, RESULTS)
     if _depth(_QUOTED.sub("_", text)) > RESULTS.depth:
-        raise UndertowError(_too_deep(os.fspath(path), kind, RESULTS))
+        raise UndertowError(_too_deep(os.fspath(path), kind))
     return text
 
 
@@ -135,8 +135,8 @@ def json_ready(content: Any, not_finite: Callable[[float], Any] = lambda _: None
     return json_ready(content.tolist(), not_finite) if hasattr(content, "tolist") else content
 
 
-def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:
-    bare = _DECIMAL.sub("0", _QUOTED.sub("_", text))
+def _refuse_depth(text: str, where: str, kind: str) -> None:
+    bare, limits = _DECIMAL.sub("0", _QUOTED.sub("_", text)), STATEMENTS
     dots = [key.count(".") for key in _DOTTED.findall(bare)]
     if max(dots, default=0) >= limits.depth:
         raise UndertowError(
@@ -149,13 +149,12 @@ def _refuse_depth(text: str, where: str, kind: str, limits: TextLimits) -> None:
             "write tables such as [columns]"
         )
     if _depth(bare) > limits.depth:
-        raise UndertowError(_too_deep(where, kind, limits))
+        raise UndertowError(_too_deep(where, kind))
 
 
-def _too_deep(where: str, kind: str, limits: TextLimits) -> str:
-    return (
-        f"{where}: values are nested too deeply for a {kind} (limit {limits.depth} brackets): write them flat"
-    )
+def _too_deep(where: str, kind: str) -> str:
+    most = STATEMENTS.depth
+    return f"{where}: values are nested too deeply for a {kind} (limit {most} brackets): write them flat"
 
 
 def _depth(bare: str) -> int:
@@ -167,15 +166,15 @@ def _depth(bare: str) -> int:
     return most
 
 
-def _refuse_integers(value: object, key: str, where: str, limit: int) -> None:
+def _refuse_integers(value: object, key: str, where: str) -> None:
     """Refuse integers that neither a float nor 64 bits hold: 0xfff... of any length is one."""
     if isinstance(value, dict):
         for name, inner in value.items():
-            _refuse_integers(inner, f"{key}.{name}" if key else name, where, limit)
+            _refuse_integers(inner, f"{key}.{name}" if key else name, where)
     elif isinstance(value, list):
         for inner in value:
-            _refuse_integers(inner, key, where, limit)
-    elif isinstance(value, int) and not -limit <= value < limit:
+            _refuse_integers(inner, key, where)
+    elif isinstance(value, int) and not -STATEMENTS.integer <= value < STATEMENTS.integer:
         raise UndertowError(
             f"{where}: not valid TOML: {key} is an integer of {value.bit_length()} bits (limit 64): write it "
             "as a decimal number"
@@ -259,7 +258,10 @@ class FileSet:
         target = target.resolve()  # replace what a link points to, not the link
         temporary = _beside(target)
         self.staged.append((temporary, target))
-        _fill(temporary, payload)
+        with open(temporary, "xb") as stream:
+            stream.write(payload)
+            stream.flush()
+            os.fsync(stream.fileno())
         if mode is not None:
             temporary.chmod(stat.S_IMODE(mode))
 
@@ -407,13 +409,6 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as failure:
         raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
-
-
-def _fill(temporary: Path, payload: bytes) -> None:
-    with open(temporary, "xb") as stream:
-        stream.write(payload)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def _reason(failure: OSError) -> str:

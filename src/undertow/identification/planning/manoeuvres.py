@@ -273,12 +273,10 @@ class Family:
         `numbers` (size,) are between 0 and 1, `sizes` (n_axes,) the share of every axis that is kept.
         """
         duration = float(t[-1] + (t[1] - t[0]))
-        waves = [self._wave(t / duration, duration, i, q) for i, q in enumerate(self._split(numbers))]
+        of_axes = np.split(numbers, np.cumsum([1 + s.size for s in self.shapes])[:-1])
+        waves = [self._wave(t / duration, duration, i, q) for i, q in enumerate(of_axes)]
         patterns = np.array([a.pattern for a in self.axes]) * np.reshape(sizes, (-1, 1))
         return np.asarray(taper(t)[:, None] * (np.column_stack(waves) @ patterns))
-
-    def _split(self, numbers: Array) -> list[Array]:
-        return np.split(numbers, np.cumsum([1 + s.size for s in self.shapes])[:-1])
 
     def _wave(self, share: Array, duration: float, i: int, q: Array) -> Array:
         count = len(self.axes) if self.in_turn else 1
@@ -324,14 +322,12 @@ def families(bases: Sequence[Group], steered: Sequence[Axis] = ()) -> list[Famil
 
 
 def _families_of(axes: list[Axis], reach: Array) -> Iterator[Family]:
-    names = listed([a.name for a in axes])
+    names, several = listed([a.name for a in axes]), len(axes) > 1
     for shape in SHAPES:
         shapes = (shape,) * len(axes)
-        if len(axes) == 1:
-            yield Family(f"{shape.name} of {names}", tuple(axes), shapes, reach)
-            continue
-        yield Family(f"{shape.name} of {names} together", tuple(axes), shapes, reach)
-        yield Family(f"{shape.name} of {names} in turn", tuple(axes), shapes, reach, in_turn=True)
+        yield Family(f"{shape.name} of {names}{' together' * several}", tuple(axes), shapes, reach)
+        if several:
+            yield Family(f"{shape.name} of {names} in turn", tuple(axes), shapes, reach, in_turn=True)
     yield from _turning(axes, reach)
 
 
@@ -460,8 +456,11 @@ def _limit(name: str, vehicle: Vehicle, given: Limit | None, runs: Sequence[Run]
         return (low, high), "asked for"
     if stated is not None:
         return (lowest, stated), "vehicle file"
-    spans = [_span(run.channels[name]) for run in runs if run.has(name)]
-    seen = min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=0.0)
+    logged = [run.channels[name] for run in runs if run.has(name)]
+    seen = (
+        min((float(np.nanmin(command, initial=0.0)) for command in logged), default=0.0),
+        max((float(np.nanmax(command, initial=0.0)) for command in logged), default=0.0),
+    )
     if end is not None and seen == (0.0, 0.0):
         return (lowest, end), "end of its curve"
     if seen == (0.0, 0.0):
@@ -473,11 +472,6 @@ def _limit(name: str, vehicle: Vehicle, given: Limit | None, runs: Sequence[Run]
     if name in {t.name for t in vehicle.thrusters} - {*vehicle.angle_names} and 0.0 in seen:
         return seen, "range in the logs"
     return (max(-most, lowest), most), "largest in the logs"
-
-
-def _span(command: Array) -> Bounds:
-    """Lowest and highest value of a command, and zero if that is beyond both."""
-    return float(np.nanmin(command, initial=0.0)), float(np.nanmax(command, initial=0.0))
 
 
 def nearest_limit(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple[str, float]:
@@ -492,21 +486,21 @@ def nearest_limit(y: Array, names: Sequence[str], limits: MotionLimits) -> tuple
 
 def extremes(y: Array, names: Sequence[str]) -> dict[str, float]:
     """Largest speed, rate, change of depth, tilt and distance of a motion, in SI; only what it has."""
-    return dict(_extremes(dict(zip(names, y.T, strict=True))))
-
-
-def _extremes(columns: Mapping[str, Array]) -> Iterator[tuple[str, float]]:
-    def group(*wanted: str) -> list[Array]:
-        return [columns[n] for n in wanted if n in columns]
-
-    for what, found in (("speed", group("u", "v", "w")), ("distance", [c - c[0] for c in group("x", "y")])):
-        if found:
-            yield what, float(np.max(np.linalg.norm(np.column_stack(found), axis=1)))
-    for what, found in (("rate", group("p", "q", "r")), ("tilt", group("phi", "theta"))):
-        if found:
-            yield what, max(float(np.max(np.abs(c))) for c in found)
-    for depth in group("z"):
-        yield "depth", float(np.max(np.abs(depth - depth[0])))
+    columns, moved = dict(zip(names, y.T, strict=True)), dict(zip(names, (y - y[0]).T, strict=True))
+    groups = {
+        "speed": [columns[n] for n in ("u", "v", "w") if n in columns],
+        "distance": [moved[n] for n in ("x", "y") if n in moved],
+        "rate": [columns[n] for n in ("p", "q", "r") if n in columns],
+        "tilt": [columns[n] for n in ("phi", "theta") if n in columns],
+        "depth": [moved[n] for n in ("z",) if n in moved],
+    }
+    found = {}
+    for what, group in groups.items():
+        if group:
+            together = what in ("speed", "distance")  # components of one vector
+            sizes = np.linalg.norm(np.column_stack(group), axis=1) if together else np.abs(group)
+            found[what] = float(np.max(sizes))
+    return found
 
 
 ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}

@@ -290,22 +290,17 @@ class PlanRequest:
         duration = float(f"{duration:.2g}") if self.duration is None else self.duration
         rate = min(rate, SETTINGS.enough_samples / max(duration, 1e-9)) if runs else rate
         rate = float(f"{rate:.2g}") if self.rate is None else self.rate
-        _refuse_samples(duration, rate)
+        if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
+            raise UndertowError(
+                f"a manoeuvre of {duration:g} s at {rate:g} samples/s is impossible: give positive numbers"
+            )
+        samples = round(duration * rate)
+        if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
+            raise UndertowError(
+                f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a "
+                f"--rate that make {SETTINGS.fewest_samples} to {SETTINGS.most_samples}"
+            )
         return duration, rate
-
-
-def _refuse_samples(duration: float, rate: float) -> None:
-    """Refuse lengths and rates that make no manoeuvre."""
-    if not (duration > 0 and rate > 0 and np.isfinite(duration * rate)):
-        raise UndertowError(
-            f"a manoeuvre of {duration:g} s at {rate:g} samples/s is impossible: give positive numbers"
-        )
-    samples = round(duration * rate)
-    if not SETTINGS.fewest_samples <= samples <= SETTINGS.most_samples:
-        raise UndertowError(
-            f"{duration:g} s at {rate:g} samples/s are {samples} samples: give a --duration and a "
-            f"--rate that make {SETTINGS.fewest_samples} to {SETTINGS.most_samples}"
-        )
 
 
 # Axes that a motion depends on.
@@ -429,7 +424,8 @@ class PlanningProblem:
             # Most motions grow about in proportion to their cause, but not one that diverges.
             ratio = manoeuvre.limit_ratio
             share = max(s.limit_share / ratio, s.least_share) if np.isfinite(ratio) else s.least_share
-            causes = np.array([_drives(axis.name, manoeuvre.limit) for axis in family.axes])
+            # A single actuator drives everything.
+            causes = [a.name not in DOFS or a.name in _CAUSES[manoeuvre.limit] for a in family.axes]
             sizes = np.where(causes, share * sizes, sizes)
         excitation = self.excitation(design, sizes)
         smaller = self.manoeuvres([self.commands(share * excitation) for share in s.shares])
@@ -438,11 +434,12 @@ class PlanningProblem:
     def manoeuvres(self, commands: Sequence[Array]) -> list[Manoeuvre]:
         """The manoeuvres that commands of shape (n, k) make, safe or not."""
         motions = [self.predicted(plant, self.t, commands) for plant in self.plants]
-        return [self._checked(u, tuple(y[i] for y in motions)) for i, u in enumerate(commands)]
-
-    def _checked(self, u: Array, y: tuple[Array, ...]) -> Manoeuvre:
-        worst = max((nearest_limit(one, self.names, self.motion) for one in y), key=lambda pair: pair[1])
-        return Manoeuvre(self.t, u, y, worst[1], worst[0])
+        found = []
+        for u, *y in zip(commands, *motions, strict=True):
+            nearest = (nearest_limit(one, self.names, self.motion) for one in y)
+            limit, ratio = max(nearest, key=lambda pair: pair[1])
+            found.append(Manoeuvre(self.t, u, tuple(y), ratio, limit))
+        return found
 
     def predicted(self, plant: Plant, t: Array, commands: Sequence[Array], p: Array | None = None) -> Array:
         """Outputs of the sensors without noise, from the start, (b, n, 2n_dof); NaN where it diverges."""
@@ -491,11 +488,6 @@ class PlanningProblem:
         return float(shares[np.argmax(safe)] if safe.any() else shares[-1])
 
 
-def _drives(axis: str, limit: str) -> bool:
-    """Whether an axis causes a motion; a single actuator drives everything."""
-    return axis not in DOFS or axis in _CAUSES[limit]
-
-
 # --- uncertainty of the predicted depth -----------------------------------------------------------
 def depth_spread(
     problem: PlanningProblem, plant: Plant, known: Knowledge, manoeuvre: Manoeuvre
@@ -509,9 +501,8 @@ def depth_spread(
     information = known.prior + known.logs
     without_error = np.diag(information) <= 0
     assumed = np.diag(without_error * (SETTINGS.assumed_error * known.scale) ** -2.0)
-    slopes = np.array(
-        [_slope(problem, plant, manoeuvre, n, s) for n, s in zip(known.free, known.scale, strict=True)]
-    )
+    scales = zip(known.free, known.scale, strict=True)
+    slopes = np.array([_slope(problem, plant, manoeuvre, name, scale) for name, scale in scales])
     variance = np.einsum("it,ij,jt->t", slopes, inverse_of(information + assumed), slopes)
     return float(2 * np.sqrt(np.max(np.nan_to_num(variance, nan=0.0))))
 
@@ -707,7 +698,9 @@ def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float
         f"the start: the vehicle does not hold its {'speed' if dof == 'surge' else 'depth and attitude'}"
         for dof, value in problem.trim.unbalanced.items()
     ]
-    rise = _rise(problem, manoeuvre)
+    rise, column = 0.0, problem.names.index("z") if "z" in problem.names else None
+    if column is not None:
+        rise = max(float(np.max(y[0, column] - y[:, column])) for y in manoeuvre.y)
     if rise > problem.depth:
         lines.append(f"the vehicle rises up to {rise:.2g} m above its start: begin deeper than that")
     depth = extremes_of(problem, manoeuvre).get("depth", 0.0)
@@ -717,10 +710,3 @@ def safety_remarks(problem: PlanningProblem, manoeuvre: Manoeuvre, spread: float
             "what is known now: hold it by hand or with a controller, and log the commands"
         )
     return lines
-
-
-def _rise(problem: PlanningProblem, manoeuvre: Manoeuvre) -> float:
-    if "z" not in problem.names:
-        return 0.0
-    column = problem.names.index("z")
-    return max(float(np.max(y[0, column] - y[:, column])) for y in manoeuvre.y)

@@ -238,7 +238,9 @@ def rival_models(
     vehicle: Vehicle, specs: Sequence[RivalSpec], known: Catalogue, problem: PlanningProblem
 ) -> list[RivalModel]:
     """The rivals with values: fitted to the logs of a problem, else as stated, else of typical size."""
-    vehicle = _with_one_value_in_all_runs(vehicle)
+    # Without values by run: the run that is planned is none of those that the logs hold.
+    differing = [n for n in free_parameters(vehicle) if vehicle.differs_between_runs(n)]
+    vehicle = vehicle.with_values({n: replace(vehicle.value_of(n), per_run=False) for n in differing})
     runs, before = problem.runs, free_parameters(vehicle)
     data = prepare(runs, vehicle) if runs else None
     bench = None if data is None else open_bench(vehicle, data, data)
@@ -256,12 +258,6 @@ def rival_models(
         model = WeakModel(plant.functions, knowledge.free)
         rivals.append(RivalModel(spec.name, plant, knowledge, model, added, source))
     return rivals
-
-
-def _with_one_value_in_all_runs(vehicle: Vehicle) -> Vehicle:
-    """The vehicle without values by run: the run that is planned is none of those that the logs hold."""
-    differing = [n for n in free_parameters(vehicle) if vehicle.differs_between_runs(n)]
-    return vehicle.with_values({n: replace(vehicle.value_of(n), per_run=False) for n in differing})
 
 
 def _fitted(candidate: Candidate, bench: Bench, values: Mapping[str, float]) -> WeakFit:
@@ -289,9 +285,8 @@ def _with_values(
         values = {**neutral_values(candidate), **found} if found else typical_values(candidate, problem)
         vehicle = candidate.vehicle_with(values)
     stated_values = {n: v for n, v in spec.values.items() if n in vehicle.values}
-    return vehicle.with_values(
-        {n: replace(vehicle.value_of(n), value=v) for n, v in stated_values.items()}
-    ), source
+    changed = {n: replace(vehicle.value_of(n), value=v) for n, v in stated_values.items()}
+    return vehicle.with_values(changed), source
 
 
 class _Estimate(BaseModel):
@@ -324,22 +319,18 @@ class Diagnosed(BaseModel):
     @property
     def rivals(self) -> list[str]:
         """Effects to be told apart, at most three; "none" stands for the model without any."""
-        found = self.indistinguishable[0].effects if self.indistinguishable else self._leading()
-        named = list(dict.fromkeys(found))[: SETTINGS.most_rivals]
-        return named if len(named) > 1 else [*named, NONE]
-
-    def _leading(self) -> list[str]:
         fitted = [r.effect for r in self.ranking if r.parameters]
         significant = [r.effect for r in self.ranking if r.significant]
-        leading = significant if len(significant) > 1 else fitted[:2]
-        return list(dict.fromkeys([*self.effects[:1], *leading]))
+        found = [*self.effects[:1], *(significant if len(significant) > 1 else fitted[:2])]
+        found = self.indistinguishable[0].effects if self.indistinguishable else found
+        named = list(dict.fromkeys(found))[: SETTINGS.most_rivals]
+        return named if len(named) > 1 else [*named, NONE]
 
     @property
     def in_every_rival(self) -> list[str]:
         """Effects that were named in addition to those in question, and so are in all of the rivals."""
-        if not self.indistinguishable:
-            return []
-        return [e for e in self.effects if all(e not in s.effects for s in self.indistinguishable)]
+        sets = [s.effects for s in self.indistinguishable]
+        return [e for e in self.effects if sets and all(e not in effects for effects in sets)]
 
     def values(self, effect: str) -> dict[str, float]:
         """Values in the file's sign convention: those of the last model, and the effect's own."""

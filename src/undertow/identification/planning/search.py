@@ -74,13 +74,11 @@ SEARCH = SearchSettings()
 
 
 class PlanSearch(ABC):
-    """Random search for the best manoeuvre, and refinement; the same seed finds the same manoeuvre.
-
-    `plant` and `known` are the model that predicts the uncertainty of the depth.
-    """
+    """Random search for the best manoeuvre, and refinement; the same seed finds the same manoeuvre."""
 
     def __init__(self, problem: PlanningProblem, plant: Plant, known: Knowledge, tries: int) -> None:
-        self.problem, self.plant, self.known, self._tries = problem, plant, known, tries
+        self.problem, self._tries = problem, tries
+        self.plant, self.known = plant, known  # the model that predicts the uncertainty of the depth
         self.value = -np.inf
         # Highest value by name of the family; -inf where no manoeuvre of it was safe.
         self.by_family: dict[str, float] = {}
@@ -203,15 +201,6 @@ def plan_parameters(
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     request = request or PlanRequest()
     free = free_parameters(vehicle)
-    _refuse(vehicle, free, only)
-    known = knowledge(vehicle, free, runs)
-    plant = Plant.of(known.vehicle, compiled=request.compiled)
-    problem = PlanningProblem(request, vehicle, [plant], runs)
-    wanted = [free.index(n) for n in only] if only else list(range(len(free)))
-    return _ParameterSearch(problem, plant, known, wanted).planned()
-
-
-def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
     if not free:
         raise UndertowError(
             f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
@@ -222,6 +211,11 @@ def _refuse(vehicle: Vehicle, free: Sequence[str], only: Sequence[str]) -> None:
             raise UndertowError(
                 f"'{name}' is not to be estimated in '{vehicle.name}': there are {', '.join(free)}"
             )
+    known = knowledge(vehicle, free, runs)
+    plant = Plant.of(known.vehicle, compiled=request.compiled)
+    problem = PlanningProblem(request, vehicle, [plant], runs)
+    wanted = [free.index(n) for n in only] if only else list(range(len(free)))
+    return _ParameterSearch(problem, plant, known, wanted).planned()
 
 
 class _ParameterSearch(PlanSearch):
@@ -314,44 +308,27 @@ class Refit:
             predicted = squared(at.r + at.J @ step)
             if left == 1 or squared(at.r) - predicted < SEPARATION.tolerance:
                 return min(predicted, squared(at.r)), p
-            p, at = self._after_step(data, p, step, at, truth, noise)
+            for share in SEPARATION.shares:
+                tried = p.copy()
+                tried[self._places] = np.clip(p[self._places] + share * step, *self._bounds)
+                there = self._at(data, tried, truth, noise)
+                if squared(there.r) < squared(at.r):
+                    p, at = tried, there
+                    break
         return 0.0, p
-
-    def _after_step(
-        self,
-        data: WeakData,
-        p: Array,
-        step: Array,
-        at: Linearised,
-        truth: list[Linearised],
-        noise: list[Whitening],
-    ) -> tuple[Array, Linearised]:
-        for share in SEPARATION.shares:
-            tried = p.copy()
-            tried[self._places] = np.clip(p[self._places] + share * step, *self._bounds)
-            there = self._at(data, tried, truth, noise)
-            if squared(there.r) < squared(at.r):
-                return tried, there
-        return p, at
 
     def _at(self, data: WeakData, p: Array, truth: list[Linearised], noise: list[Whitening]) -> Linearised:
         """The problem linearised at p: the difference of the residuals, and that to the fit to the logs."""
-        parts = [_difference(a, b) for a, b in zip(self._model.linearise(data, p), truth, strict=True)]
+        parts = []
+        for rival, true in zip(self._model.linearise(data, p), truth, strict=True):
+            # In both the first states of the effects are unknown.
+            start = np.hstack([rival.start, true.start])
+            known = min((k for k in (rival.known, true.known) if k is not None), default=None)
+            parts.append(replace(rival, r=rival.r - true.r, start=start, known=known))
         predicted = whitened(parts, noise)
         to_logs = self._root @ (p[self._places] - self._p[self._places])
         r, slopes = np.concatenate([predicted.r, to_logs]), np.vstack([predicted.J, self._root])
         return Linearised(r, slopes, np.zeros((len(r), 0)))
-
-
-def _difference(rival: Linearised, truth: Linearised) -> Linearised:
-    """Difference of two residuals; in both the first states of the effects are unknown."""
-    known = [k for k in (rival.known, truth.known) if k is not None]
-    return replace(
-        rival,
-        r=rival.r - truth.r,
-        start=np.hstack([rival.start, truth.start]),
-        known=min(known, default=None),
-    )
 
 
 class Separations:
@@ -457,16 +434,15 @@ class _SeparationSearch(PlanSearch):
         }
 
     def _pairs(self, manoeuvre: Manoeuvre) -> list[Separation]:
-        runs = self.problem.runs
+        runs, pairs = self.problem.runs, self.separations.pairs
         plan = self.separations.along(self.problem, manoeuvre)
-        now: list[float] | None = None
+        now: list[float | None] = [None] * len(pairs)
         if runs:
             separations = Separations(self.rivals, self.inflation, with_logs=False)
             now = separations.on_logs(runs, self.problem.noise.finite).tolist()
         found = []
-        for k, (i, j) in enumerate(self.separations.pairs):
-            before = None if now is None else now[k]
-            total = float(plan[k]) + (before or 0.0)
+        for (i, j), more, before in zip(pairs, plan.tolist(), now, strict=True):
+            total = more + (before or 0.0)
             found.append(
                 Separation(
                     pair=(self.rivals[i].name, self.rivals[j].name),
@@ -548,7 +524,7 @@ def suggest(
         return f"No {tried} would put {between} farther apart than these logs do.", False
     # Standard deviations are of sensor noise: where more is left, even many of them have told nothing apart.
     many = now >= SEPARATION.separated
-    apart = "apart" if many else f"{_two_digits(then)} standard deviations apart"
+    apart = "apart" if many else f"{then:.{'2g' if then < 10 else '0f'}} standard deviations apart"
     farther = f"{' ' if many else ', '}{then / now:.1f} times as far as these logs do" if now else ""
     words = (
         f"{plan.manoeuvre[0].upper()}{plan.manoeuvre[1:]} for {plan.duration:g} s would put {between} "
@@ -560,7 +536,3 @@ def suggest(
 
 def _added_deviations(separation: Separation) -> float:
     return float(np.sqrt(max(separation.chi_square - (separation.chi_square_now or 0.0), 0.0)))
-
-
-def _two_digits(value: float) -> str:
-    return f"{value:.2g}" if value < 10 else f"{value:.0f}"
