@@ -144,14 +144,11 @@ class Composition:
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
         motions = [x for x in motions if x.name not in self.inputs]
-        absent = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
-        return dict.fromkeys([*motions, *absent, *self._absent_parameters()], sm.Integer(0))
-
-    def _absent_parameters(self) -> list[sm.Symbol]:
-        """Parameters that an effect would share if the vehicle had them."""
-        present = {e.id for e in self.effects}
-        absent = {i for e in self.effects for i in e.shares if i not in present}
-        return [symbol(p.name) for i in absent for p in catalogue()[i](self.thrusters).parameters]
+        forces = [symbol(f"tau_{n}") for n in FORCE if f"tau_{n}" not in self.forces]
+        # Parameters that an effect would share if the vehicle had them.
+        absent = {i for e in self.effects for i in e.shares} - {e.id for e in self.effects}
+        shared = [symbol(p.name) for i in absent for p in catalogue()[i](self.thrusters).parameters]
+        return dict.fromkeys([*motions, *forces, *shared], sm.Integer(0))
 
     @cached_property
     def water(self) -> tuple[sm.Matrix, sm.Matrix]:
@@ -187,11 +184,11 @@ class Composition:
     def directional(self) -> dict[sm.Symbol, sm.Expr]:
         """Coefficients that differ forward and backward, as functions of the relative velocity."""
         motions = {p.name: p.motion for e in self.effects for p in e.parameters}
-        return {symbol(n): self._by_sign(f, b, motions[n]) for n, (f, b) in self.split.items()}
-
-    def _by_sign(self, forward: sm.Expr, backward: sm.Expr, motion: int | None) -> sm.Expr:
-        sign = sm.sign(self.signals.nu_r[motion])
-        return _HALF * (forward + backward) + _HALF * (forward - backward) * sign
+        found = {}
+        for name, (forward, backward) in self.split.items():
+            sign = sm.sign(self.signals.nu_r[motions[name]])
+            found[symbol(name)] = _HALF * (forward + backward) + _HALF * (forward - backward) * sign
+        return found
 
     def reduce(self, expression: sm.Matrix) -> sm.Matrix:
         """An expression of effects in terms of the vehicle's own motion, commands and parameters."""
@@ -315,15 +312,9 @@ class Composition:
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Parameters that occur in the equations, in the order of the effects; environment last."""
-        return tuple(n for n in self._declared_names() if n in self.names)
-
-    def _declared_names(self) -> list[str]:
-        names: dict[str, None] = {}
-        for effect in self.effects:
-            for p in effect.parameters:
-                halves = self.split.get(p.name)
-                names.update(dict.fromkeys([str(h) for h in halves] if halves else [p.name]))
-        return [*names, "rho", "g"]
+        declared = [p.name for effect in self.effects for p in effect.parameters]
+        names = dict.fromkeys(str(half) for n in declared for half in self.split.get(n, (n,)))
+        return tuple(n for n in (*names, "rho", "g") if n in self.names)
 
 
 _NED = ("north", "east", "down")
@@ -453,62 +444,38 @@ def _spelled_out(effect: Effect, s: Signals, *parts: Part) -> tuple[Part, ...]:
 
 
 def _flow(effect: Flow, s: Signals) -> tuple[Part, ...]:
-    place = _usable(s.eta, s.t, s.rho, s.g)
+    place, still = _usable(s.eta, s.t, s.rho, s.g), sm.zeros(3, 1)
     rows = tuple(f"water {way}" for way in _NED), tuple(f"d(water {way})/dt" for way in _NED)
-    return _spelled_out(
-        effect,
-        s,
-        Part("velocity", effect.velocity(s), rows[0], ("m/s",) * 3, sm.zeros(3, 1), place),
-        Part(
-            "acceleration",
-            effect.acceleration(s),
-            rows[1],
-            ("m/s^2",) * 3,
-            sm.zeros(3, 1),
-            place | _usable(s.nu),
-        ),
-    )
+    velocity = Part("velocity", effect.velocity(s), rows[0], ("m/s",) * 3, still, place)
+    usable = place | _usable(s.nu)
+    acceleration = Part("acceleration", effect.acceleration(s), rows[1], ("m/s^2",) * 3, still, usable)
+    return _spelled_out(effect, s, velocity, acceleration)
 
 
 def _actuation(effect: Actuation, s: Signals) -> tuple[Part, ...]:
     commands = commands_of(effect)
     usable = _usable(s.eta, s.nu, s.nu_r, s.t, s.rho, s.g, commands)
-    rest = effect.rest_state(commands)
+    rest, dead_time = effect.rest_state(commands), sm.Matrix([effect.dead_time()])
     names = tuple(f"output_{n}" for n in effect.acts_on)
+    units = (effect.command_unit,) * len(names)
     rest_rows = tuple(f"{x} at rest" for x in effect.states)
     return (
-        Part(
-            "output", effect.output(commands, s), names, (effect.command_unit,) * len(names), commands, usable
-        ),
+        Part("output", effect.output(commands, s), names, units, commands, usable),
         _rates(effect, effect.rates(commands, s), usable),
         Part("rest_state", rest, rest_rows, effect.state_units, None, usable),
-        Part(
-            "dead_time", sm.Matrix([effect.dead_time()]), ("dead time",), ("s",), sm.zeros(1, 1), frozenset()
-        ),
+        Part("dead_time", dead_time, ("dead time",), ("s",), sm.zeros(1, 1), frozenset()),
     )
 
 
 def _measurement(effect: Measurement, s: Signals) -> tuple[Part, ...]:
     usable = _usable(s.eta, s.nu, s.t, s.rho, s.g)
     pose, velocity = effect.reported(s.eta, s.nu, s)
+    rows = [f"reported {n}" for n in (*POSE, *VELOCITY)]
+    ages = tuple(f"age of {row}" for row in rows)
     return (
-        Part("reported pose", pose, tuple(f"reported {n}" for n in POSE), POSE_UNITS, s.eta, usable),
-        Part(
-            "reported velocity",
-            velocity,
-            tuple(f"reported {n}" for n in VELOCITY),
-            VELOCITY_UNITS,
-            s.nu,
-            usable,
-        ),
-        Part(
-            "age",
-            effect.age(),
-            tuple(f"age of reported {n}" for n in (*POSE, *VELOCITY)),
-            ("s",) * 12,
-            sm.zeros(12, 1),
-            frozenset(),
-        ),
+        Part("reported pose", pose, tuple(rows[:6]), POSE_UNITS, s.eta, usable),
+        Part("reported velocity", velocity, tuple(rows[6:]), VELOCITY_UNITS, s.nu, usable),
+        Part("age", effect.age(), ages, ("s",) * 12, sm.zeros(12, 1), frozenset()),
     )
 
 
@@ -518,9 +485,6 @@ _BUILDERS: dict[str, Callable[..., tuple[Part, ...]]] = {
     "actuation": _actuation,
     "measurement": _measurement,
 }
-
-
-__all__ = ["function_of"]
 
 
 def function_of(

@@ -33,7 +33,9 @@ def complaints_of(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, st
     yield "taken", "what it takes from other effects can be stated there", _taken_complaints(cls, known)
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
-    yield "claims", "claims about power do not contradict each other", _claim_complaints(cls)
+    both = issubclass(cls, Wrench) and cls.workless and cls.dissipative
+    claims = ["declared workless and dissipative: keep one of the two"] if both else []
+    yield "claims", "claims about power do not contradict each other", iter(claims)
 
 
 def _id_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
@@ -142,21 +144,14 @@ def _parameter_complaints(p: Parameter) -> Iterator[str]:
         yield f"parameter '{p.name}' has no meaning: say in one line what it is"
     if not p.linear and p.default is None and not p.starts:
         yield f"shape parameter '{p.name}' has neither starts nor a default: say where a search begins"
-    for what, value in (
-        *(("default", v) for v in [p.default] if v is not None),
-        *(("start", v) for v in p.starts),
-    ):
+    stated = [("default", p.default)] if p.default is not None else []
+    for what, value in (*stated, *(("start", v) for v in p.starts)):
         if not (math.isfinite(value) and low <= value <= high):
             yield f"{what} {value:g} of '{p.name}' is outside its bounds {low:g} to {high:g}: correct it"
     try:
         dimension(p.unit)
     except UndertowError as error:
         yield f"parameter '{p.name}': {error}"
-
-
-def _claim_complaints(cls: type[Effect]) -> Iterator[str]:
-    if issubclass(cls, Wrench) and cls.workless and cls.dissipative:
-        yield "declared workless and dissipative: keep one of the two"
 
 
 # --- the contract ---------------------------------------------------------------------------------
@@ -384,12 +379,8 @@ def linearity_as_declared(s: Statement) -> Iterator[str]:
     if not found and nonlinear_row(main, together, s) is not None:
         names = ", ".join(f"'{p.name}'" for p in linear)
         yield f"the linear parameters {names} multiply each other: declare all but one linear=False"
-    for p in own:
-        if (
-            not p.linear
-            and symbol(p.name) not in hidden
-            and nonlinear_row(main, [*together, symbol(p.name)], s) is None
-        ):
+    for p in (p for p in own if not p.linear and symbol(p.name) not in hidden):
+        if nonlinear_row(main, [*together, symbol(p.name)], s) is None:
             yield f"parameter '{p.name}' enters linearly although declared linear=False: declare linear=True"
 
 
@@ -475,10 +466,10 @@ def inertia_positive(s: Statement) -> Iterator[str]:
             return
 
 
-def positive_semidefinite(rows: Sequence[Sequence[float]], margin: float = _TRIALS.rounding) -> bool:
-    """Whether a symmetric matrix has no eigenvalue below ``-margin`` times its trace."""
+def positive_semidefinite(rows: Sequence[Sequence[float]]) -> bool:
+    """Whether a symmetric matrix has no negative eigenvalue, but for rounding."""
     trace = sum(abs(rows[i][i]) for i in range(len(rows)))
-    return failing_pivot(rows, margin * trace or margin) is None
+    return failing_pivot(rows, _TRIALS.rounding * (trace or 1.0)) is None
 
 
 # --- energy -------------------------------------------------------------------------------------

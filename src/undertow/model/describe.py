@@ -111,6 +111,7 @@ def _as_declared(cls: type[Effect]) -> Iterator[Parameter]:
 
 def _parameter_note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
     low, high = (None if math.isinf(b) else b for b in p.bounds)
+    about = p.about + (f" (unless the log has {p.without_log})" if p.without_log else "")
     return ParameterNote(
         name=p.name,
         unit=short_unit(p.unit),
@@ -121,14 +122,8 @@ def _parameter_note(p: Parameter, stated_elsewhere: Set[str]) -> ParameterNote:
         default=p.default,
         directional=p.motion is not None,
         per_run=p.per_run,
-        about=p.about + _log_condition(p),
+        about=about + (f" (where the log has {p.with_log})" if p.with_log else ""),
     )
-
-
-def _log_condition(p: Parameter) -> str:
-    """With which logs a parameter is there, if not with all."""
-    without = f" (unless the log has {p.without_log})" if p.without_log else ""
-    return without + (f" (where the log has {p.with_log})" if p.with_log else "")
 
 
 # --- equations -----------------------------------------------------------------------------------
@@ -143,7 +138,7 @@ def _equations(statement: Statement, vehicle: Composition | None = None) -> Iter
     short = statement.effect.abbreviations(statement.signals)
     names = {x: latex_name(str(x)) for x in (*statement.units, *statement.free_symbols, *short)}
     none = {} if vehicle is None else _missing_on(vehicle)
-    for row, written in (*_written(statement), *((str(x), e) for x, e in short.items())):
+    for row, written in (*_stated_rows(statement), *((str(x), e) for x, e in short.items())):
         left, right = latex_row(row), written.xreplace(none)
         right = right.xreplace({x: sm.Float(x, _DIGITS) for x in right.atoms(sm.Float)})
         if sm.Symbol(row) not in none and not (none and right == 0):
@@ -161,7 +156,7 @@ def _missing_on(vehicle: Composition) -> dict[sm.Basic, sm.Expr]:
     return {**vehicle.locked, **dict.fromkeys([*water, *forces], sm.Integer(0))}
 
 
-def _written(statement: Statement) -> Iterator[tuple[str, sm.Expr]]:
+def _stated_rows(statement: Statement) -> Iterator[tuple[str, sm.Expr]]:
     """Active rows as the effect states them, abbreviations not expanded."""
     for part in statement.parts:
         written = dict(zip(part.rows, part.matrix if part.written is None else part.written, strict=True))

@@ -83,14 +83,14 @@ class Statements:
 
     def completed(self) -> dict[str, dict[str, Any]]:
         """The tables with what each takes from others."""
-        return {e.id: {**self.tables[e.id], **self._entries(e)} for e in self.effects}
-
-    def _entries(self, effect: Effect) -> dict[str, ParameterTable]:
-        owners = {t.key: t.owner for t in effect.taken}
-        return {
-            key: ParameterTable(value=value, source=f"taken from [effects.{owners[key]}]")
-            for key, value in self.taken(effect).items()
-        }
+        tables = {}
+        for effect in self.effects:
+            tables[effect.id], taken = dict(self.tables[effect.id]), self.taken(effect)
+            for t in effect.taken:
+                if t.key in taken:
+                    source = f"taken from [effects.{t.owner}]"
+                    tables[effect.id][t.key] = ParameterTable(value=taken[t.key], source=source)
+        return tables
 
     def _from_owner(self, taken: Taken) -> float | None:
         formula = self._formula(taken)
@@ -149,14 +149,11 @@ class Statements:
             return
         value = si_of(place, raw, taken.unit)
         if not isclose(value, elsewhere, rel_tol=taken.rounding, abs_tol=_NOTHING):
-            fitted = bool(field_of(entry, "estimate")) or self._fitted(taken)
+            # What a fit found must fit into a file, and it may have moved what the owner states.
+            names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
+            entries = [entry, *(e for n, e in self.tables.get(taken.owner, {}).items() if n in names)]
+            fitted = any(field_of(e, "estimate") for e in entries)
             yield _difference_text(place, value, elsewhere, taken, most=inf if fitted else taken.most)
-
-    def _fitted(self, taken: Taken) -> bool:
-        """Whether a fit may have moved what the owner states; what it found must fit into a file."""
-        names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
-        owner = self.tables.get(taken.owner, {})
-        return any(field_of(owner[n], "estimate") for n in names & owner.keys())
 
 
 def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
@@ -166,9 +163,8 @@ def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
 def _difference_text(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
     other = f"{taken.words or taken.key} = {elsewhere:g} {taken.unit} by [effects.{taken.owner}]"
     line = f"{place} = {value:g} {taken.unit}, but {other}"
-    how = (
-        "remove it to use the latter, or write { value = ..., override = true } if the difference is intended"
-    )
+    override = "write { value = ..., override = true } if the difference is intended"
+    how = f"remove it to use the latter, or {override}"
     if max(abs(value), abs(elsewhere)) > most * min(abs(value), abs(elsewhere)):
         raise UndertowError(
             f"{line}: that is impossible for one vehicle (limit: a factor of {most:g}); {how}"
@@ -271,9 +267,8 @@ def _vehicle_and_remarks(
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
     inputs = _inputs(table.inputs, table.degrees_of_freedom, known, logged)
-    effects = tuple(
-        _effect_class(effect_id, known)(names, surfaces, tuple(inputs)) for effect_id in table.effects
-    )
+    classes = [_effect_class(effect_id, known) for effect_id in table.effects]
+    effects = tuple(cls(names, surfaces, tuple(inputs)) for cls in classes)
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
         "g": si_of("gravity", table.gravity, "m/s^2"),
@@ -383,15 +378,11 @@ def _effect_values(
             values |= parameter_values(f"[effects.{effect.id}]", parameters[key], entry, signs)
         elif key not in aliases:
             known = [*parameters, *aliases]
+            listed = (", ".join(known[:12]) or "none") + (" ..." if len(known) > 12 else "")
             raise UndertowError(
-                f"[effects.{effect.id}] has no parameter '{key}'{nearest(key, known)}; "
-                f"it has {_listing(known)}"
+                f"[effects.{effect.id}] has no parameter '{key}'{nearest(key, known)}; it has {listed}"
             )
     return values | _alias_values(effect, table, values, known_to or {})
-
-
-def _listing(names: list[str]) -> str:
-    return ", ".join(names[:12]) + (" ..." if len(names) > 12 else "") if names else "none"
 
 
 def _alias_values(
@@ -413,7 +404,8 @@ def _alias_values(
     # A mass that is to be found, at a known place, leaves its static moment to be found, too, and so does
     # its weight the righting moment.
     sought |= _propagated_sigmas(effect, plain, converted, estimated).keys()
-    stated = {k: _stated_sigma(effect, k, e.sigma) for k, e in aliases.items() if e.sigma is not None}
+    units, place = effect.file_units(), f"[effects.{effect.id}] sigma of"
+    stated = {k: si_of(f"{place} {k}", e.sigma, units[k]) for k, e in aliases.items() if e.sigma is not None}
     sigma = _propagated_sigmas(effect, plain, converted, estimated | stated)
     new = {
         n: Value(v, estimate=n in sought, sigma=sigma.get(n), source=source, assumed=assumed)
@@ -441,10 +433,6 @@ def _propagated_sigmas(
     return {n: s for n, s in found.items() if s > 0.0}
 
 
-def _stated_sigma(effect: Effect, key: str, sigma: str | float) -> float:
-    return si_of(f"[effects.{effect.id}] sigma of {key}", sigma, effect.file_units()[key])
-
-
 def _affected_parameters(
     effect: Effect, plain: Mapping[str, float], converted: Mapping[str, float], key: str
 ) -> list[str]:
@@ -453,16 +441,11 @@ def _affected_parameters(
     return [n for n, v in converted.items() if moved[n] != v]
 
 
-def _parameters_of_key(effect: Effect, key: str) -> list[str]:
-    """Parameters of an effect that a key stands for, whatever their values."""
-    ones = dict.fromkeys((p.name for p in effect.parameters), 1.0)
-    return _affected_parameters(effect, {**ones, key: 1.0}, effect.from_file({**ones, key: 1.0}), key)
-
-
 def _alias(effect: Effect, key: str, entry: ParameterTable) -> float:
     place = f"[effects.{effect.id}] {key}"
     if entry.estimate and key not in effect.former_keys:
-        base = _parameters_of_key(effect, key)
+        ones = dict.fromkeys([*(p.name for p in effect.parameters), key], 1.0)
+        base = _affected_parameters(effect, ones, effect.from_file(dict(ones)), key)
         shown = ", ".join(f"{p.name} ({p.about})" for p in effect.parameters if p.name in base)
         lines = ", ".join(f"{name} = {{ value = ..., estimate = true }}" for name in base)
         raise UndertowError(

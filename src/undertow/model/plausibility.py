@@ -31,20 +31,20 @@ def check_vehicle(vehicle: Vehicle) -> None:
 
 
 def _complaints(vehicle: Vehicle) -> Iterator[str]:
-    known = _known(vehicle)
+    # What the file states and the equations use, and water and gravity; SI and SNAME signs.
+    used, values = set(vehicle.parameter_names), vehicle.values
+    known = {n: v.value for n, v in values.items() if n in used or v.value != 0.0} | dict(vehicle.environment)
     size = next((b for e in vehicle.effects if (b := e.vehicle_size(known)) is not None), None)
-    yield from _numbers(vehicle)
-    yield from _effects(vehicle, known)
+    for name, value in values.items():
+        yield from _out_of_range(_place(vehicle, name), value.value, (0.0, _LIMITS.largest))
+        yield from _sigma(_place(vehicle, name), value)
+    moved = {n for n, v in values.items() if v.estimate}
+    for effect in vehicle.effects:
+        for complaint in effect.impossible(known, _LIMITS, moved):
+            yield f"[effects.{effect.id}] {complaint}"
     yield from _thrusters(vehicle, size)
     if size is not None:
         yield from _places(vehicle, size)
-
-
-def _known(vehicle: Vehicle) -> dict[str, float]:
-    """What the file states and the equations use, and water and gravity; SI and SNAME signs."""
-    used = set(vehicle.parameter_names)
-    stated = {n: v.value for n, v in vehicle.values.items() if n in used or v.value != 0.0}
-    return stated | dict(vehicle.environment)
 
 
 _HINTS = {"water_density": "1 g/cm^3 is 1000 kg/m^3", "gravity": "981 cm/s^2 is 9.81 m/s^2"}
@@ -61,12 +61,6 @@ def _check_environment(vehicle: Vehicle) -> None:
 
 
 # --- numbers --------------------------------------------------------------------------------------
-def _numbers(vehicle: Vehicle) -> Iterator[str]:
-    for name, value in vehicle.values.items():
-        yield from _out_of_range(_place(vehicle, name), value.value, (0.0, _LIMITS.largest))
-        yield from _sigma(_place(vehicle, name), value)
-
-
 def _place(vehicle: Vehicle, name: str) -> str:
     return f"{_table(vehicle, name)} {name}"
 
@@ -120,14 +114,7 @@ def _excessive_thrust(thruster: Thruster, mass: float) -> Iterator[str]:
         )
 
 
-# --- effects and places ---------------------------------------------------------------------------
-def _effects(vehicle: Vehicle, known: Mapping[str, float]) -> Iterator[str]:
-    moved = {n for n, v in vehicle.values.items() if v.estimate}
-    for effect in vehicle.effects:
-        for complaint in effect.impossible(known, _LIMITS, moved):
-            yield f"[effects.{effect.id}] {complaint}"
-
-
+# --- places ---------------------------------------------------------------------------------------
 def _places(vehicle: Vehicle, size: VehicleSize) -> Iterator[str]:
     extent = max(size.length, size.gyration)
     for place, arm in _lever_arms(vehicle):
@@ -167,17 +154,14 @@ def _check_complete(vehicle: Vehicle) -> None:
     for name in vehicle.parameter_names:
         parameter = vehicle.declared_parameters.get(name)
         if parameter is not None and parameter.must_be_given and name not in vehicle.values:
+            pairs = zip(("from", "to"), parameter.bounds, strict=True)
+            limits = " ".join(f"{word} {v:g}" for word, v in pairs if isfinite(v))
             raise UndertowError(
                 f"{_table(vehicle, name)} lacks {name} ({parameter.about}): give it in {parameter.unit}"
-                f"{_range_text(parameter.bounds)}"
+                f"{f', {limits}' if limits else ''}"
             )
     if not vehicle.mass_matrix.free_symbols:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
-
-
-def _range_text(bounds: Range) -> str:
-    limits = [f"{word} {v:g}" for word, v in zip(("from", "to"), bounds, strict=True) if isfinite(v)]
-    return f", {' '.join(limits)}" if limits else ""
 
 
 # Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
@@ -251,8 +235,14 @@ def hints(vehicle: Vehicle) -> list[str]:
 
     For instance "added_mass has no Y_vdot although sway is a degree of freedom: it counts as zero".
     """
-    sources = (_missing_entries, _undamped, _absent_companions, _without_influence, _unused_inputs, _assumed)
-    return [line for source in sources for line in source(vehicle)]
+    sources = (_missing_entries, _undamped, _absent_companions)
+    lines = [line for source in sources for line in source(vehicle)]
+    values = vehicle.values
+    silent = [n for n, v in values.items() if n not in vehicle.parameter_names and v.value]
+    lines += [f"has no influence in these degrees of freedom: {', '.join(silent)}"] if silent else []
+    assumed = [n for n, v in values.items() if v.assumed]
+    source = [f"assumed, without a source: {', '.join(assumed)}"] if assumed else []
+    return [*lines, *_unused_inputs(vehicle), *source]
 
 
 def diagonal_entries(effect: Effect) -> dict[int, str]:
@@ -311,21 +301,9 @@ def _absent_companions(vehicle: Vehicle) -> Iterator[str]:
         yield "neither restoring nor net_buoyancy is present: weight and buoyancy are taken as equal"
 
 
-def _without_influence(vehicle: Vehicle) -> Iterator[str]:
-    silent = [n for n, v in vehicle.values.items() if n not in vehicle.parameter_names and v.value]
-    if silent:
-        yield f"has no influence in these degrees of freedom: {', '.join(silent)}"
-
-
 def _unused_inputs(vehicle: Vehicle) -> Iterator[str]:
     taken = {d.name for effect in vehicle.all_effects for d in logged(type(effect))} | CHANNELS
     for name in (n for n in vehicle.inputs if n not in taken):
         takers = [e for e, cls in catalogue().items() if name in {d.name for d in logged(cls)}]
         would = f" ({' or '.join(takers)} would)" if takers else ""
         yield f"input {name} is used by no effect of the vehicle{would}; logs still have to contain it"
-
-
-def _assumed(vehicle: Vehicle) -> Iterator[str]:
-    names = [n for n, v in vehicle.values.items() if v.assumed]
-    if names:
-        yield f"assumed, without a source: {', '.join(names)}"

@@ -45,7 +45,8 @@ def append(table: Any, key: str, item: Any) -> None:
     """Add a key at the end of a table, before the comment that belongs to what follows the table."""
     tail = _detach_tail(table)
     table.append(key, item)
-    _attach_tail(table, tail)
+    if tail:
+        table.value.body.extend(tail)
 
 
 def append_table(document: Any, parent: str, key: str, table: Any) -> None:
@@ -56,7 +57,8 @@ def append_table(document: Any, parent: str, key: str, table: Any) -> None:
     elif isinstance(parents, Table):
         tail = _detach_tail(_last(parents))
         parents.append(key, table)
-        _attach_tail(table, tail or [(None, Whitespace("\n"))])
+        if isinstance(table, Table):
+            table.value.body.extend(tail or [(None, Whitespace("\n"))])
     else:  # several places of the file add to it
         outer = tomlkit.table(is_super_table=True)
         outer.append(key, table)
@@ -79,11 +81,6 @@ def _detach_tail(table: Any) -> list[Any]:
     tail = body[blank:]
     del body[blank:]
     return tail
-
-
-def _attach_tail(table: Any, tail: list[Any]) -> None:
-    if isinstance(table, Table):
-        table.value.body.extend(tail)
 
 
 def array_of_tables(document: Any, key: str) -> Any:
@@ -308,16 +305,12 @@ def _row(value: Any) -> Any:
 
 def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict[str, Any]:
     names = [str(n) for n in stated["parameters"]]
-    turn = [_file_sign(vehicle, name, signs) for name in names]
+    turn = [printed(vehicle.declaration(name), 1.0, signs) for name in names]
     rows = [
         [float(f"{turn[i] * turn[j] * float(v):.{_COVARIANCE_DIGITS}g}") for j, v in enumerate(row)]
         for i, row in enumerate(stated["matrix"])
     ]
     return {"parameters": names, "matrix": rows}
-
-
-def _file_sign(vehicle: Vehicle, name: str, signs: str) -> float:
-    return printed(vehicle.declaration(name), 1.0, signs)
 
 
 _ROUND_TRIP = 1e-9
@@ -487,7 +480,12 @@ def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapp
     found = effect.from_file(direct | aliases) if aliases else {}
     derived = {n: v for n, v in found.items() if n not in known}
     derived |= {k: v for k, v in taken.items() if k not in units}
-    wrong = {n for n, v in derived.items() if not _is_unchanged(vehicle.value_of(n), v)}
+    wrong = set()
+    for name, number in derived.items():
+        value = vehicle.value_of(name)
+        same = isclose(value.value, number, rel_tol=_ROUND_TRIP / 2)
+        if not same or value.estimate or value.sigma is not None:
+            wrong.add(name)
     for key in own:
         moved = effect.from_file(direct | aliases | {key: aliases[key] + 1.0})
         touched = {n for n in derived if n in found and moved.get(n) != found[n]}
@@ -495,11 +493,6 @@ def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapp
             wrong |= touched
             table.remove(key)
     return set(derived) - wrong
-
-
-def _is_unchanged(value: Value, derived: float) -> bool:
-    same = isclose(value.value, derived, rel_tol=_ROUND_TRIP / 2)
-    return same and not value.estimate and value.sigma is None
 
 
 def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, object] | None) -> None:
@@ -511,17 +504,8 @@ def _write_thrusters(document: Any, vehicle: Vehicle, history: Mapping[str, obje
             f"{', '.join(names) or 'none'}: choose the file that the vehicle came from"
         )
     for thruster in vehicle.thrusters:
-        value = thruster.thrust_per_command
-        sigmas = _sigmas({"value": value})
-        wanted = Entry(
-            {"value": value.value},
-            sigmas,
-            "N/command",
-            value.estimate,
-            value.assumed,
-            per_run=value.per_run,
-            source=value.source,
-        )
+        parameter = vehicle.declaration(f"thrust_{thruster.name}")
+        wanted = _entry_of(parameter, {"value": thruster.thrust_per_command}, "sname")
         place = f"thruster '{thruster.name}' thrust_per_command"
         if "thrust_per_command" in tables[thruster.name] or wanted.differs(1.0, place):
             _write(tables[thruster.name], "thrust_per_command", wanted, place, history)

@@ -171,12 +171,11 @@ def parameter_values(place: str, parameter: Parameter, entry: Any, signs: str) -
         )
     if parameter.motion is None:
         raise UndertowError(f"{place} {parameter.name} cannot differ forward and backward: give one value")
-    return {
-        f"{parameter.name}_{way}": _value(
-            place, parameter, f"{parameter.name}_{way}", raw, table.one_way(way), signs
-        )
-        for way, raw in given.items()
-    }
+    values = {}
+    for way, raw in given.items():
+        name = f"{parameter.name}_{way}"
+        values[name] = _value(place, parameter, name, raw, table.one_way(way), signs)
+    return values
 
 
 def _refuse_idle_sigmas(place: str, table: ParameterTable, values: int) -> None:
@@ -229,13 +228,12 @@ def positive(place: str, raw: Any, unit: str) -> float:
 # --- thrusters and control surfaces ---------------------------------------------------------------
 def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     place = f"thruster '{table.name}'"
-    given = table.wrench is not None
-    if {table.position is not None, table.direction is not None} != {not given}:
+    if {table.position is not None, table.direction is not None} != {table.wrench is None}:
         raise UndertowError(f"{place} needs either 'wrench' or 'position' and 'direction', not both")
-    position = None if given else _position(place, table)
-    wrench = (
-        _numbers(f"{place} wrench", table.wrench) if position is None else _wrench_at(place, position, table)
-    )
+    position, wrench = None, _numbers(f"{place} wrench", table.wrench)
+    if table.position is not None:
+        x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
+        position, wrench = (x, y, z), _wrench_at(place, (x, y, z), table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
     law, unit = _thrust_law(place, table, folder)
@@ -401,12 +399,6 @@ def _numbers(place: str, entries: Iterable[Any] | None) -> tuple[float, ...]:
     return tuple(si_of(place, entry, "1") for entry in entries or ())
 
 
-def _position(place: str, table: ThrusterTable) -> tuple[float, float, float]:
-    assert table.position is not None
-    x, y, z = (si_of(f"{place} position", v, "m") for v in table.position)
-    return x, y, z
-
-
 def _wrench_at(place: str, position: tuple[float, float, float], table: ThrusterTable) -> tuple[float, ...]:
     assert table.direction is not None
     x, y, z = position
@@ -419,16 +411,9 @@ def _wrench_at(place: str, position: tuple[float, float, float], table: Thruster
 
 # --- control surfaces -----------------------------------------------------------------------------
 # Keys of a surface's table that state a parameter, and the parameter's name without that of the surface.
-SURFACE_KEYS = {
-    "lift_coefficient": "C_N",
-    "drag_coefficient": "C_D",
-    **{
-        key: key
-        for key in ("wake", "straightening", "flow_lever", "in_slipstream", "slipstream", "a_H", "x_H", "t_R")
-    },
-    "lag": "lag",
-    "rate": "rate",
-}
+_IN_THE_FLOW = ("wake", "straightening", "flow_lever", "in_slipstream", "slipstream", "a_H", "x_H", "t_R")
+SURFACE_KEYS = {"lift_coefficient": "C_N", "drag_coefficient": "C_D"}
+SURFACE_KEYS |= {key: key for key in (*_IN_THE_FLOW, "lag", "rate")}
 # By name: a rudder turns the bow of a vehicle that goes ahead to starboard, a stern plane brings it down.
 _AXES = {"rudder": (0.0, 0.0, -1.0), "stern_plane": (0.0, 1.0, 0.0)}
 # How far an axis may miss a unit vector across the x axis, and is then a rounded one.

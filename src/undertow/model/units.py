@@ -176,8 +176,8 @@ def _finite(number: float, value: object, unit: str) -> float:
 ANY = None
 
 _PLAIN_ARGUMENT = (
-    *(sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.sinh, sm.cosh, sm.tanh, sm.exp, sm.log),
-)
+    sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.sinh, sm.cosh, sm.tanh, sm.exp, sm.log
+)  # fmt: skip
 _FAMILIAR = ("N", "N m", "W", "m", "m/s", "m/s^2", "kg", "kg m", "kg m^2", "s", "rad/s^2")
 _BASE = {"[length]": "m", "[mass]": "kg", "[time]": "s", "[temperature]": "K", "[current]": "A"}
 _LONGEST_TERM = 70
@@ -248,11 +248,10 @@ class _Analysis:
             ((sm.Add, sm.Min, sm.Max), lambda x: self._common(x.args, x)),
             ((sm.Mul,), self._product),
             # exp is a power in SymPy's eyes, so plain functions come first.
-            (_PLAIN_ARGUMENT, self._number_rule),
+            (_PLAIN_ARGUMENT, lambda x: self._require_number(x.args[0], x)),
             ((sm.Pow,), self._power),
             ((sm.Abs,), lambda x: self.of(x.args[0])),
-            ((sm.sign,), self._sign),
-            ((sm.atan2,), self._sign),
+            ((sm.sign, sm.atan2), self._sign),
             ((sm.Piecewise,), self._piecewise),
         )
         for kinds, rule in rules:
@@ -303,16 +302,13 @@ class _Analysis:
             )
         return found ** (int(exponent) if exponent.is_Integer else float(exponent))
 
-    def _number_rule(self, e: sm.Basic) -> Dimension | None:
-        self._require_number(e.args[0], e)
-        return dimension("1")
-
-    def _require_number(self, arg: sm.Basic, whole: sm.Basic) -> None:
+    def _require_number(self, arg: sm.Basic, whole: sm.Basic) -> Dimension:
         found = self.of(arg)
         if found not in (ANY, dimension("1")):
             raise UndertowError(
                 f"{_short(whole)} needs a pure number but {_short(arg)} is {unit_text(found)}"
             )
+        return dimension("1")
 
     def _sign(self, e: sm.Basic) -> Dimension | None:
         self._common(e.args, e)

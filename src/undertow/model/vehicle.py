@@ -260,7 +260,9 @@ class Vehicle:
     def all_effects(self) -> tuple[Effect, ...]:
         """The effects with those that the hardware brings in."""
         present = {e.id for e in self.effects}
-        geared = SteeringGear.id not in present and any(n in self.values for n in self._gear_names)
+        # A file may state the parameters of the steering gear with the surfaces themselves.
+        gear = self.equipped(SteeringGear).parameters
+        geared = SteeringGear.id not in present and any(p.name in self.values for p in gear)
         hardware = {
             Thrusters: bool(self.thrusters),
             Propellers: any(isinstance(law, Propeller) for law in self.laws),
@@ -276,11 +278,6 @@ class Vehicle:
     def laws(self) -> tuple[Law, ...]:
         """How the command of each thruster becomes thrust; None where it is in proportion."""
         return tuple(t.law for t in self.thrusters)
-
-    @property
-    def _gear_names(self) -> tuple[str, ...]:
-        """Parameters of the steering gear, which a file may state with the surfaces themselves."""
-        return tuple(p.name for p in self.equipped(SteeringGear).parameters)
 
     def equipped(self, cls: type[Effect]) -> Effect:
         """An effect with the hardware of this vehicle."""
