@@ -40,10 +40,9 @@ Meanings = tuple[tuple[sm.Symbol, sm.Expr], ...]
 
 
 class _Setting(NamedTuple):
-    """Everything except the effect itself on which its equations depend.
+    """Everything except the effect itself on which its equations depend."""
 
-    Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have it in common.
-    """
+    # Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have it in common.
 
     dofs: tuple[int, ...]
     meanings: Meanings

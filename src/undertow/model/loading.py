@@ -342,10 +342,8 @@ def _hardware_values(
 
 
 def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[str, frozenset[str]]:
-    """Hashes of the logs that values come from, by the last fit in the history that has them.
-
-    A value whose source no longer names a fit was edited since.
-    """
+    """Hashes of the logs that values come from, by the last fit in the history that has them."""
+    # A value whose source no longer names a fit was edited since.
     found: dict[str, frozenset[str]] = {}
     for entry in history:
         logs, covariance = entry.get("logs"), entry.get("covariance")

@@ -83,11 +83,9 @@ def latencies(kinematics: Kinematics, runs: Sequence[Run]) -> list[Latency]:
 
 
 def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]) -> list[Latency]:
-    """Latencies whose removal makes pose rates and velocities agree clearly better, given the rest.
-
-    Gauss-Newton on a non-existent delay may end where it explains a different error. If rates and velocities
-    are hardly related even without it, no clock is to blame.
-    """
+    """Latencies whose removal makes pose rates and velocities agree clearly better, given the rest."""
+    # Gauss-Newton on a non-existent delay may end where it explains a different error. If rates and
+    # velocities are hardly related even without it, no clock is to blame.
     clear = [one for one in found if one.clear(runs[0].step)]
     weight = kinematics.rates(runs).weight
 
@@ -122,11 +120,9 @@ def _latencies(kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[
 def _delays(
     kinematics: Kinematics, runs: Sequence[Run], sources: list[tuple[str, ...]]
 ) -> tuple[Array, Array]:
-    """Delay of each source against each by Gauss-Newton, (k, k), and its error; infinite where none shows.
-
-    Other sensor errors are fitted at the same time: in a steady turn a late position looks like that of a
-    sensor away from the origin.
-    """
+    """Delay of each source against each by Gauss-Newton, (k, k), and its error; infinite where none shows."""
+    # Other sensor errors are fitted at the same time: in a steady turn a late position looks like that of a
+    # sensor away from the origin.
     weight = kinematics.rates(runs).weight
     step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
 
@@ -199,10 +195,8 @@ def shifts(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Shift]:
 
 
 def _shift(kinematics: Kinematics, runs: list[Run], names: tuple[str, ...], poses: tuple[str, ...]) -> Shift:
-    """Gauss-Newton on delay and drift; velocities are read earlier or later by what is found.
-
-    Steady offsets are fitted at the same time: that of a gyroscope would make a delay that drifts.
-    """
+    """Gauss-Newton on delay and drift; velocities are read earlier or later by what is found."""
+    # Steady offsets are fitted at the same time: that of a gyroscope would make a delay that drifts.
     found = np.zeros(2)
     step = runs[0].step
     delayed = Sensor("sensor_delay", ("delay s", "drift s"), _delay_columns(names, runs))
@@ -337,11 +331,9 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
 
 
 def _refitted_with_delay(at: Dynamics) -> tuple[Dynamics, float]:
-    """The model refitted with commands of a delay, s, near the best one, where Gauss-Newton can begin.
-
-    The fit to commands that are many samples off may have reduced their force to zero, and would then not
-    show their delay; and its residual is then not noise.
-    """
+    """The model refitted with commands of a delay, s, near the best one, where Gauss-Newton can begin."""
+    # The fit to commands that are many samples off may have reduced their force to zero, and would then not
+    # show their delay; and its residual is then not noise.
     step = at.runs[0].step
     tried = np.unique([0.0, *(sign * max(late, step) for late in SETTINGS.starts for sign in (1, -1))])
     delay = float(max(tried, key=lambda late: at.predicted_reduction(_delayed(late, 0.0)) or 0.0))
@@ -360,12 +352,10 @@ def _acausal(delay: float, error: float, step: float) -> bool:
 
 
 def _explains(at: Dynamics, delay: float) -> bool:
-    """Whether the refitted model explains decisively more with commands that are that much later.
-
-    Only that makes a negative delay a clock error. In feedback control the commands respond to the missing
-    effect and so correlate with it: with commands shifted ahead every such log is explained a little better,
-    but nearly all of the residual remains. With a true clock error it vanishes.
-    """
+    """Whether the refitted model explains decisively more with commands that are that much later."""
+    # Only that makes a negative delay a clock error. In feedback control the commands respond to the missing
+    # effect and so correlate with it: with commands shifted ahead every such log is explained a little
+    # better, but nearly all of the residual remains. With a true clock error it vanishes.
     fit = at.refitted(undo=_delayed(delay, 0.0))
     return fit is not None and at.gain(fit).decisive
 
@@ -444,10 +434,8 @@ def _late_commands(at: Dynamics, delay: float, error: float, mapping: LogMapping
 
 
 def _newton_step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tuple[Array, Array, float] | None:
-    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave.
-
-    None if a missing command would enter the data.
-    """
+    """Gauss-Newton step of delay and drift with all free parameters, its errors, and what it would leave."""
+    # None if a missing command would enter the data.
     here, moved = (_residual(at, _delayed(*s)) for s in (shift, shift + np.array([small, 0.0])))
     if here is None or moved is None:
         return None

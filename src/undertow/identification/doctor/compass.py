@@ -200,10 +200,9 @@ def _explained_elsewhere(table: Array, target: Array, piece: Array) -> float:
 
 
 def _is_wind(parts: Sequence[_Part], found: Deviation) -> bool:
-    """Whether the drift may be that of wind, which is felt less the faster a vehicle moves.
-
-    What grows with the speed then takes away from what the same heading does at rest, and is less than that.
-    """
+    """Whether the drift may be that of wind, which is felt less the faster a vehicle moves."""
+    # What grows with the speed then takes away from what the same heading does at rest, and is less than
+    # that.
     moved, at_rest, ahead = [], [], []
     for part in parts:
         drift = part.turned @ found.value

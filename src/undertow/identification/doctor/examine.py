@@ -179,10 +179,8 @@ def _refused(examiner: _Examiner) -> Finding | None:
 
 
 def _only_wrong(vehicle: Vehicle, runs: Sequence[Run]) -> dict[str, Finding]:
-    """Impossible contents of some of the logs, by name, if the others do not show them.
-
-    Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
-    """
+    """Impossible contents of some of the logs, by name, if the others do not show them."""
+    # Taken together, logs with a mistake and logs without it would show nothing, or what is true of neither.
     found = {r.name: _refused(_of_one(vehicle, r)) for r in runs} if len(runs) > 1 else {}
     wrong = {name: finding for name, finding in found.items() if finding is not None}
     if len(wrong) == len(runs):

@@ -269,11 +269,9 @@ def _rows(runs: Sequence[Run], vehicle: Vehicle) -> list[str]:
 
 
 def _channels(runs: Sequence[Run], vehicle: Vehicle, rows: list[str]) -> list[str]:
-    """Channels that take part: of the rows, velocities of the vehicle, and the attitude.
-
-    Roll and pitch only where they are whole, for they are small; but without a heading that is sometimes
-    missing north would be taken for ahead.
-    """
+    """Channels that take part: of the rows, velocities of the vehicle, and the attitude."""
+    # Roll and pitch only where they are whole, for they are small; but without a heading that is sometimes
+    # missing north would be taken for ahead.
     there = [n for n in ("phi", "theta", "psi") if all(r.has(n) for r in runs)]
     whole = [n for n in there if all(bool(np.isfinite(r.channels[n]).all()) for r in runs)]
     attitude = [n for n in there if n in whole or (n == "psi" and {"x", "y"} & {*rows})]

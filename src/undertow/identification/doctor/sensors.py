@@ -297,10 +297,8 @@ def _explained(before: Mismatch, after: Mismatch) -> float:
 
 
 def _vanishes(before: Mismatch, after: Mismatch) -> np.ndarray:
-    """Blocks whose mismatch vanishes, so that pose rates and velocities agree more than they differ.
-
-    Otherwise noise scaled away together with its motion would count as explained.
-    """
+    """Blocks whose mismatch vanishes, so that pose rates and velocities agree more than they differ."""
+    # Otherwise noise scaled away together with its motion would count as explained.
     return (after.excess <= before.excess / SETTINGS.decisive) & (after.share < PLAUSIBLE.agreement)
 
 
@@ -387,11 +385,9 @@ def _shows_unit(
     whole: Mistake,
     change: tuple[Mismatch, Mismatch],
 ) -> bool:
-    """Whether a mismatch that a mistake, or both of a pair, removes is evidence of another unit.
-
-    A small reduction does not, if a sensor error may be as large. Nor does one also achieved with the
-    channels set to zero: in their own unit they agree with the rest.
-    """
+    """Whether a mismatch that a mistake, or both of a pair, removes is evidence of another unit."""
+    # A small reduction does not, if a sensor error may be as large. Nor does one also achieved with the
+    # channels set to zero: in their own unit they agree with the rest.
     before, after = change
     if whole.id in UNITS_OF_MOTION and not _explained(before, after) > PLAUSIBLE.other_unit:
         return False

@@ -226,10 +226,8 @@ def _remaining(
     good: Sequence[SignEvidence],
     given: SignEvidence | None = None,
 ) -> list[Mistake]:
-    """Mistakes that do as well as the best of the good ones: the simplest, then what explains most.
-
-    None where the reading that is `given` does so, too.
-    """
+    """Mistakes that do as well as the best of the good ones: the simplest, then what explains most."""
+    # None where the reading that is `given` does so, too.
     if not good:
         return []
     enough = SETTINGS.as_good * max(w.explained for w in good)

@@ -320,11 +320,9 @@ def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Na
 
 
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
-    """The column of each command and input of the vehicle, else of all columns that look like a command.
-
-    `dead` columns are constant: they are used for a thruster of the vehicle that was never used, and in a
-    group of columns that differ in a number.
-    """
+    """The column of each command and input of the vehicle, else of all columns that look like a command."""
+    # `dead` columns are constant: they are used for a thruster of the vehicle that was never used, and in a
+    # group of columns that differ in a number.
     if vehicle is None:
         driving = [n for n in names if (n.is_command or n.force) and not set(n.words) & WANTED]
         rows = rows_by_number(n.column for n in driving)
@@ -428,10 +426,8 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
 
 
 def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
-    """The column that flags new values of a sensor slower than its log; the column itself without one.
-
-    If a sensor has rows of its own, only these are considered.
-    """
+    """The column that flags new values of a sensor slower than its log; the column itself without one."""
+    # If a sensor has rows of its own, only these are considered.
     there = np.isfinite(values)
     values, flags = values[there], {flag: column[there] for flag, column in flags.items()}
     new = np.concatenate([[False], np.diff(values) != 0])
@@ -472,10 +468,9 @@ def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: A
 
 
 def _with_common_units(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
-    """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is.
-
-    A small roll alone may be in either unit; with a heading in degrees from the same sensor it is in degrees.
-    """
+    """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is."""
+    # A small roll alone may be in either unit; with a heading in degrees from the same sensor it is in
+    # degrees.
     unstated = {n.column: n.stem for n in names if not n.unit}
     kinds = {c: 0 for c in POSE[3:]} | {c: 1 for c in VELOCITY[3:]}
     degrees = {
@@ -500,10 +495,8 @@ def _factor(guess: Guess) -> float:
 def _command(
     command: str, name: Name, values: Array, units: Mapping[str, str], axes: Mapping[str, str]
 ) -> Guess:
-    """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared.
-
-    `units`, `axes`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
-    """
+    """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared."""
+    # `units`, `axes`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
@@ -565,11 +558,9 @@ def _ignored(
     foreign: set[str],
     other: tuple[Sequence[str], set[str]],
 ) -> dict[str, tuple[str, ...]]:
-    """Columns that are left out, by the reason.
-
-    `foreign` are channels that the vehicle does not have, `other` columns of places that are not in degrees,
-    and of quaternions.
-    """
+    """Columns that are left out, by the reason."""
+    # `foreign` are channels that the vehicle does not have, `other` columns of places that are not in
+    # degrees, and of quaternions.
     no_degrees, rotation = other
     found: dict[str, list[str]] = {}
     by_column = {name.column: name for name in names}

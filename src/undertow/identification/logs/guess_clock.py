@@ -171,10 +171,8 @@ def _pace_over(step: int, x: Array, y: Array, t: Array) -> float:
 
 
 def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | Guess:
-    """The column that counts the time: one of that name that rises or has dates, else one that rises.
-
-    A clock of too few digits is better than a column of another name: its rows are evenly spaced.
-    """
+    """The column that counts the time: one of that name that rises or has dates, else one that rises."""
+    # A clock of too few digits is better than a column of another name: its rows are evenly spaced.
     late = {n: _share_out_of_order(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]

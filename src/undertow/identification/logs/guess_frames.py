@@ -94,10 +94,8 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
 
 
 def _best_unexplained_shares(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
-    """Share of the change of position that velocities leave unexplained, by possible axes.
-
-    Over the one of the times in the settings with the smallest share: long where the position is noisy.
-    """
+    """Share of the change of position that velocities leave unexplained, by possible axes."""
+    # Over the one of the times in the settings with the smallest share: long where the position is noisy.
     found = [_unexplained_shares(seconds, t, channels) for seconds in SETTINGS.over]
     return min(found, key=lambda shares: min(shares.values(), default=np.inf))
 

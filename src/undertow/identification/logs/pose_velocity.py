@@ -329,10 +329,8 @@ def _median_change(y: Array) -> float:
 
 
 def _gross_outliers(t: Array, y: Array) -> Flags:
-    """Find single gross outliers by comparing each sample with the cubic through its four neighbours.
-
-    They would spoil the likelihood. A shift deviates equally on either side and is not one of them.
-    """
+    """Find single gross outliers by comparing each sample with the cubic through its four neighbours."""
+    # They would spoil the likelihood. A shift deviates equally on either side and is not one of them.
     index = np.flatnonzero(np.isfinite(y))
     seen, result = y[index], np.zeros(len(y), dtype=bool)
     if len(seen) < 2 * ORDER:

@@ -224,10 +224,8 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
 
 
 def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
-    """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons.
-
-    Commands of a table only if they reach exactly 1 and its mapping file states no unit.
-    """
+    """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons."""
+    # Commands of a table only if they reach exactly 1 and its mapping file states no unit.
     plain = [t.name for t in vehicle.thrusters if t.unit == "N" and run.has(t.name)]
     largest = max((float(np.nanmax(np.abs(run.channels[name]), initial=0.0)) for name in plain), default=0.0)
     columns = run.mapping.columns.values() if run.mapping is not None else ()
@@ -409,10 +407,9 @@ def _interpolated(sources: dict[str, Column], mapping: LogMapping, where: str) -
 
 
 def _reported(found: Mapping[str, Flags], mapping: LogMapping, channels: Channels) -> dict[str, Flags]:
-    """Rows with reports by the names of channels in the axes of undertow.
-
-    A velocity over ground before the first heading, or after the last, says nothing of those along the body.
-    """
+    """Rows with reports by the names of channels in the axes of undertow."""
+    # A velocity over ground before the first heading, or after the last, says nothing of those along the
+    # body.
     reported = {turned_name(n, mapping.frames.position): there for n, there in found.items()}
     linear = [n for n in VELOCITY[:3] if n in reported]
     if mapping.frames.velocity != "body" and linear:  # each is made of all three

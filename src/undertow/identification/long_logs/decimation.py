@@ -188,11 +188,10 @@ def _means(times: Array, values: Array, t: Array) -> tuple[Array, float]:
 
 
 def _held(times: Array, values: Array, rows: Index, t: Array, usual: float) -> Array:
-    """A signal that is held from row to row, decimated: blocks `rows` (K, by) at the times t (K,).
-
-    Its integral is decimated like a velocity, whose rate it is: the decimated command then gives exactly the
-    change of the mean velocity from one block to the next. At the end and before a gap it is a block's mean.
-    """
+    """A signal that is held from row to row, decimated: blocks `rows` (K, by) at the times t (K,)."""
+    # Its integral is decimated like a velocity, whose rate it is: the decimated command then gives exactly
+    # the change of the mean velocity from one block to the next. At the end and before a gap it is a block's
+    # mean.
     known = np.where(np.isfinite(values), values, 0.0)
     total = np.append(0.0, np.cumsum((known[:-1] - known[0]) * np.diff(times)))
     mean = known[rows].mean(axis=1)

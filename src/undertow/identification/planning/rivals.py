@@ -88,10 +88,9 @@ def _rms(columns: Array) -> float:
 
 
 class _TypicalSizes:
-    """Values of parameters by the force that they make, or by the change of a manoeuvre.
+    """Values of parameters by the force that they make, or by the change of a manoeuvre."""
 
-    Forces are those at random motions as large as in the manoeuvre, in all directions.
-    """
+    # Forces are those at random motions as large as in the manoeuvre, in all directions.
 
     def __init__(self, plant: Plant, problem: PlanningProblem, manoeuvre: Manoeuvre) -> None:
         self._plant, self._problem, self._manoeuvre = plant, problem, manoeuvre

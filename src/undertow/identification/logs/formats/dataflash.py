@@ -185,10 +185,8 @@ def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
 
 
 def _chained(data: Bytes, lengths: NDArray[np.int64]) -> tuple[Index, int]:
-    """Begins of messages after which another begins, or the file ends, and how many segments are damaged.
-
-    Bytes inside a message that look like a header are skipped: the message before leads past them.
-    """
+    """Begins of messages after which another begins, or the file ends, and how many segments are damaged."""
+    # Bytes inside a message that look like a header are skipped: the message before leads past them.
     heads = _heads(data, lengths)
     ends = heads + lengths[data[heads + 2]]
     breaks = np.flatnonzero(np.append(heads[1:] != ends[:-1], True)) if len(heads) else heads

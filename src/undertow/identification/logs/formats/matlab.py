@@ -124,10 +124,8 @@ def _members(frame: Any) -> dict[str, Any]:
 
 
 def _of_timeseries(parts: Mapping[str, Any]) -> dict[str, Any]:
-    """Time and data of a timeseries, as Simulink and the toolbox for ROS make them.
-
-    The latter keeps the names of fields of messages as `UserData`.
-    """
+    """Time and data of a timeseries, as Simulink and the toolbox for ROS make them."""
+    # The latter keeps the names of fields of messages as `UserData`.
     clock = parts["TimeInfo"].properties
     t = np.ravel(clock["Time_"])
     if not t.size:
@@ -173,10 +171,8 @@ def _in_seconds(times: Any) -> Array:
 def _series(
     name: str, members: Mapping[str, Any], clocks: Mapping[int, Array], untimed: list[str]
 ) -> Iterator[Series]:
-    """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number.
-
-    Variables as long as a run that have no such time are added to `untimed`, with their samples.
-    """
+    """Series of a struct and of those in it; `clocks` are the times of what it is in, by their number."""
+    # Variables as long as a run that have no such time are added to `untimed`, with their samples.
     arrays = {n: a for n, value in members.items() if (a := _numbers(value)) is not None}
     times = {n: t for n, a in arrays.items() if is_time(n) and (t := _seconds(n, a)) is not None}
     own = {len(t): t for t in reversed(times.values())}

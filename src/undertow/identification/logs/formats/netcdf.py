@@ -125,10 +125,8 @@ def _rank(variable: Any, dimension: str) -> tuple[bool, bool, bool]:
 
 
 def _seconds(variable: Any) -> tuple[float, Array]:
-    """When a clock starts, s, since 1970 where its units name a date, and the times from there.
-
-    Apart, since their sum would round the times to a quarter of a microsecond.
-    """
+    """When a clock starts, s, since 1970 where its units name a date, and the times from there."""
+    # Apart, since their sum would round the times to a quarter of a microsecond.
     import cftime
 
     counted = np.ma.filled(np.ma.asarray(variable[:]).astype(np.float64), np.nan)

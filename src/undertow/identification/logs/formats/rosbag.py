@@ -188,11 +188,9 @@ def _sources(topics: Sequence[Topic]) -> Iterator[tuple[Topic, dict[Kind, str]]]
 
 
 def _precedence(topic: Topic) -> tuple[bool, bool]:
-    """Sort key of topics: measurements before set-points, and those with known axes first.
-
-    A set-point has the type of a measurement, and where no header names a frame, one of two poses may be
-    latitude and longitude.
-    """
+    """Sort key of topics: measurements before set-points, and those with known axes first."""
+    # A set-point has the type of a measurement, and where no header names a frame, one of two poses may be
+    # latitude and longitude.
     name = topic.series.name
     framed = bool(topic.frame or topic.child or _has_word(name, *_DOWN, *_UP))
     return is_wanted(name) or _has_word(name.rsplit("/", 1)[-1], *_CONTROL), not framed
