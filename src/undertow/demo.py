@@ -197,16 +197,13 @@ _PROFILES = ("step", "multistep")
 
 @dataclass(frozen=True)
 class Way:
-    """One way round: identified on one force profile, validated on the other.
-
-    `additions` has every effect that these logs could show, put into the model, by its id.
-    """
+    """One way round: identified on one force profile, validated on the other."""
 
     profile: str
     other: str
     setup: AdditionSetup
     outcome: DiagnosisResult
-    additions: dict[str, Addition]
+    additions: dict[str, Addition]  # every effect that these logs could show, put into the model, by its id
 
     @classmethod
     def of(cls, profile: str, other: str) -> Way:

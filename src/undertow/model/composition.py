@@ -71,12 +71,9 @@ def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
 
 
 class Composition:
-    """The equations of a set of effects in the chosen degrees of freedom.
+    """The equations of a set of effects in the chosen degrees of freedom, indices among the six as `dofs`.
 
-    `dofs`: degrees of freedom, indices among the six; `thrusters`, `surfaces`: names of the actuators;
-    `inputs`: names of logged quantities that are inputs; `velocity_along_earth`: whether the velocity that is
-    reported was turned from the axes of the earth into those of the body by the attitude that is reported;
-    `derived`: velocities, indices among the six, that were derived from the pose that is reported.
+    The other arguments are those of a `Vehicle`; `derived` are indices of velocities among the six, too.
     """
 
     def __init__(

@@ -201,34 +201,16 @@ UPPER_TRIANGLE = tuple((i, j) for i in range(6) for j in range(i + 1, 6))
 
 @dataclass(frozen=True)
 class DerivativeMatrix:
-    """A matrix of SNAME derivatives, named by a pattern such as ``{F}_{m}dot``; reads as symbols, (6, 6).
+    """A matrix of SNAME derivatives, named by a pattern such as ``{F}_{m}dot``; reads as symbols, (6, 6)."""
 
-    Parameters
-    ----------
-    pattern : str
-        Name of an entry from its force letter F and motion letter m.
-    motion_unit : (str, str)
-        Unit of what the entry multiplies, for a translation and for a rotation.
-    entries : iterable of (row, column)
-        Entries that are not zero.
-    about : str
-        Meaning, with ``{force}`` and ``{motion}`` filled in.
-    symmetric : bool
-        Mirror the entries below the diagonal.
-    directional : bool
-        Whether the entry may differ between forward and backward motion.
-    within : float
-        That of every entry, see `Parameter`.
-    """
-
-    pattern: str
-    motion_unit: tuple[str, str]
-    entries: tuple[tuple[int, int], ...]
-    about: str
+    pattern: str  # name of an entry from its force letter F and motion letter m
+    motion_unit: tuple[str, str]  # of what the entry multiplies, for a translation and for a rotation
+    entries: tuple[tuple[int, int], ...]  # row and column of entries that are not zero
+    about: str  # meaning, with ``{force}`` and ``{motion}`` filled in
     bounds: tuple[float, float] = (-inf, inf)
-    symmetric: bool = False
-    directional: bool = False
-    within: float = 100.0
+    symmetric: bool = False  # whether entries are mirrored below the diagonal
+    directional: bool = False  # whether an entry may differ between forward and backward motion
+    within: float = 100.0  # that of every entry, see `Parameter`
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         if effect is None:
@@ -265,27 +247,13 @@ _WAYS = {"ned": ("north", "east", "down"), "body": ("forward", "to starboard", "
 
 @dataclass(frozen=True)
 class Place:
-    """Coordinates of a point that a search has to find; reads as a column of symbols, shape (3, 1), m.
+    """Coordinates of a point that a search has to find; reads as a column of symbols, shape (3, 1), m."""
 
-    Parameters
-    ----------
-    name : str
-        What stands behind x_, y_ and z_ in the names of the coordinates.
-    about : str
-        Meaning of the point.
-    axes : str
-        "ned" or "body".
-    farthest : float
-        Largest magnitude of a coordinate, m.
-    without_log : str
-        Input beside which the point has no meaning.
-    """
-
-    name: str
-    about: str
-    axes: str
-    farthest: float
-    without_log: str = ""
+    name: str  # what stands behind x_, y_ and z_ in the names of the coordinates
+    about: str  # meaning of the point
+    axes: str  # "ned" or "body"
+    farthest: float  # largest magnitude of a coordinate, m
+    without_log: str = ""  # input beside which the point has no meaning
 
     def __get__(self, effect: Any, owner: type | None = None) -> Any:
         return self if effect is None else sm.Matrix([symbol(f"{axis}_{self.name}") for axis in "xyz"])

@@ -571,9 +571,9 @@ def without_refuted(examined: Examination) -> Examination:
 
     Mistakes found through the fit of a model are believed only for want of a better explanation.
     """
-    return examined.model_copy(update={"findings": [f for f in examined.findings if not _leaves_residual(f)]})
-
-
-def _leaves_residual(finding: Finding) -> bool:
-    left = [number for name, number in finding.evidence.items() if name.endswith(_UNDONE)]
-    return finding.severity == "mistake" and max(left, default=0.0) > SETTINGS.unexplained
+    kept = []
+    for finding in examined.findings:
+        left = [number for name, number in finding.evidence.items() if name.endswith(_UNDONE)]
+        if finding.severity != "mistake" or max(left, default=0.0) <= SETTINGS.unexplained:
+            kept.append(finding)
+    return examined.model_copy(update={"findings": kept})

@@ -449,7 +449,11 @@ class _PlausibilityCheck:
         if not beyond:
             return None
         worst = max(beyond, key=lambda n: beyond[n])
-        known = [m for m in other_units(self.vehicle, self.runs) if _brings_within(m, self.runs, limits)]
+        known = []
+        for mistake in other_units(self.vehicle, self.runs):
+            undone = [mistake.undo(run) for run in self.runs]
+            if all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items()):
+                known.append(mistake)
         known = known or [scaled_commands(tuple(beyond), float(1.0 / np.median([*beyond.values()])))]
         value, limit = beyond[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
@@ -494,11 +498,6 @@ def _within(gain: float, factor: float) -> bool:
 def _rms(runs: Sequence[Run], name: str) -> float:
     present = _logged(runs, name)
     return float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
-
-
-def _brings_within(mistake: Mistake, runs: Sequence[Run], limits: dict[str, float]) -> bool:
-    undone = [mistake.undo(run) for run in runs]
-    return all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items())
 
 
 def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:

@@ -43,7 +43,9 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     if ahead > SETTINGS.ahead:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
-    turns = _steadiness(runs) < SETTINGS.steady and ahead < SETTINGS.off_course
+    psi = np.concatenate([run.channels["psi"] for run in runs])
+    steadiness = float(np.abs(np.nanmean(np.exp(1j * psi))))  # one where it is constant
+    turns = steadiness < SETTINGS.steady and ahead < SETTINGS.off_course
     found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
     yield _mirrored(found, ahead, mapping) if found else _unchecked(ahead)
 
@@ -53,12 +55,6 @@ def _ahead(runs: Sequence[Run]) -> float:
     u, v = (np.concatenate([run.channels[n] for run in runs]) for n in ("u", "v"))
     speed = np.hypot(u, v)
     return float(np.nansum(speed * u) / max(np.nansum(speed**2), 1e-30))
-
-
-def _steadiness(runs: Sequence[Run]) -> float:
-    """Length of the mean of the heading's direction: one where it is constant."""
-    psi = np.concatenate([run.channels["psi"] for run in runs])
-    return float(np.abs(np.nanmean(np.exp(1j * psi))))
 
 
 def _mirrored(found: Sequence[Mistake], ahead: float, mapping: LogMapping) -> Finding:

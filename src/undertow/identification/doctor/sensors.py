@@ -477,7 +477,10 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
         before = kinematics.mismatch_of(rates)
         fits = [f for s in known if (f := fit_sensor(kinematics, runs, rates, s)).plausible]
         best = min(fits, key=lambda f: f.after.total, default=None)
-        if best is None or not _is_credible(best, before):
+        if best is None or before.total <= SETTINGS.reported:
+            break
+        certain = np.max(np.abs(best.value) / best.error) > SETTINGS.certain
+        if not certain or best.after.total >= SETTINGS.explains * before.total:
             break
         yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
         change = regressor_of(kinematics, runs, best.sensor) @ best.value
@@ -528,12 +531,6 @@ def _measures_nothing(kinematics: Kinematics, rates: Rates, block: list[int]) ->
         f"file{remedy}",
         evidence={"pose": pose_rms, "velocity": velocity_rms},
     )
-
-
-def _is_credible(fit: SensorFit, before: Mismatch) -> bool:
-    certain = np.max(np.abs(fit.value) / fit.error) > SETTINGS.certain
-    better = fit.after.total < SETTINGS.explains * before.total
-    return bool(before.total > SETTINGS.reported and certain and better)
 
 
 def _sensor_finding(fit: SensorFit, before: Mismatch, *, drifts: bool) -> Finding:

@@ -111,7 +111,10 @@ class LongLog:
         last: Run | None = None
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         latest = -np.inf
-        for table in self._tables(rows, overlap):
+        tables, every = self._all_rows(rows, overlap), self.mapping.time.every
+        if every > 1:
+            tables = _overlapping(decimated(self._all_rows(rows, 0), every), rows, overlap)
+        for table in tables:
             if origin is None:
                 origin = self._origin(table)
             t, lost = times_of(table, self.mapping, self._where, origin)[0], 0
@@ -121,7 +124,10 @@ class LongLog:
                 latest = float(np.fmax(latest, np.fmax.reduce(t, initial=-np.inf)))
             inside = t[(t >= low) & (t <= high)]
             if len(inside) > 1:
-                last = self._run(table, origin, _commands_before(float(inside[0]), last))
+                before: dict[str, float] = {}  # last values of all channels before these rows
+                if last is not None and (count := int(np.searchsorted(last.t, float(inside[0])))):
+                    before = {name: float(data[count - 1]) for name, data in last.channels.items()}
+                last = self._run(table, origin, before)
                 last = replace(last, dropped=last.dropped + lost)
                 shared = min(max(overlap // 2, 1), len(t))
                 yield LogPart(last, float(np.fmax.accumulate(t)[-shared]))
@@ -163,7 +169,13 @@ class LongLog:
         )  # fmt: skip
         if not ranges.height:
             raise UndertowError(no_segment(column, self._where))
-        return [_rows_of(self._flat, column, *one) for one in ranges.iter_rows()]
+        found = []
+        for number, first, stop, rows in ranges.iter_rows():
+            # Where the rows of a segment are contiguous, no others are read.
+            between = self._flat.slice(first, stop - first)
+            own = between if rows == stop - first else between.filter(pl.col(column) == number)
+            found.append(own.drop(column))
+        return found
 
     def excerpts(self, count: int, rows: int) -> Iterator[Run]:
         """Some rows from several places along the log; those that cannot be read are left out."""
@@ -224,12 +236,6 @@ class LongLog:
     def _refuse_no_file(self) -> None:
         if self.table is None:
             refuse_no_file(self.path)
-
-    def _tables(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
-        every = self.mapping.time.every
-        if every == 1:
-            return self._all_rows(rows, overlap)
-        return _overlapping(decimated(self._all_rows(rows, 0), every), rows, overlap)
 
     def _all_rows(self, rows: int, overlap: int) -> Iterator[pl.DataFrame]:
         """Tables of all rows, whatever `every` says."""
@@ -315,14 +321,6 @@ def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:
     return [replace(whole, table=part, stretch=k) for k, part in enumerate(parts, 1)]
 
 
-def _rows_of(
-    flat: pl.LazyFrame, column: str, number: object, first: int, stop: int, rows: int
-) -> pl.LazyFrame:
-    """The rows with a number in a column; where they are contiguous, no others are read."""
-    between = flat.slice(first, stop - first)
-    return (between if rows == stop - first else between.filter(pl.col(column) == number)).drop(column)
-
-
 def _overlapping(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:
     """The same rows in tables of so many rows that overlap."""
     buffer: pl.DataFrame | None = None
@@ -335,12 +333,6 @@ def _overlapping(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Ite
             new = buffer.height > overlap
     if buffer is not None and new:
         yield buffer
-
-
-def _commands_before(t: float, run: Run | None) -> dict[str, float]:
-    """Last values of all channels of a run before some time; none where it begins no earlier."""
-    count = 0 if run is None else int(np.searchsorted(run.t, t))
-    return {} if run is None or not count else {n: float(a[count - 1]) for n, a in run.channels.items()}
 
 
 @contextmanager

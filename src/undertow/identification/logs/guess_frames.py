@@ -280,21 +280,15 @@ class Guess:
 
 @dataclass(frozen=True)
 class GuessedMapping:
-    """A draft of a mapping file.
-
-    time: column, unit, and a question on the rate.
-    questions: those that only the people who made the log can answer.
-    ignored: columns that are left out, by the reason.
-    reading: format of the text of the table.
-    """
+    """A draft of a mapping file."""
 
     log: str
-    time: Guess
+    time: Guess  # column, unit, and a question on the rate
     columns: tuple[Guess, ...]
     axes: Axes
-    ignored: Mapping[str, tuple[str, ...]]
-    reading: LogMapping = field(default_factory=LogMapping)
-    questions: tuple[str, ...] = field(default=())
+    ignored: Mapping[str, tuple[str, ...]]  # columns that are left out, by the reason
+    reading: LogMapping = field(default_factory=LogMapping)  # format of the text of the table
+    questions: tuple[str, ...] = ()  # those that only the people who made the log can answer
 
     @property
     def asked(self) -> list[str]:

@@ -133,13 +133,8 @@ def _with_dots(words: Sequence[str]) -> list[str]:
     return [w for part in split for w in part]
 
 
+# "gyroz" is "gyro", "z"; "yawspeed" is of MAVLink.
 _RUN_TOGETHER = "(gyro?|omega|vel|pos)([xyz])|(roll|pitch|yaw)(speed|rate)|(ground)(speed)"
-
-
-def _split_compounds(words: Sequence[str]) -> list[str]:
-    """The words, with compounds split: "gyroz" into "gyro", "z", and "yawspeed" of MAVLink."""
-    found = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
-    return [part for w, m in found for part in (filter(None, m.groups()) if m else (w,))]
 
 
 def _no_knots(text: str) -> str:
@@ -163,7 +158,8 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
-        words = _with_dots(_split_compounds(words))
+        compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
+        words = _with_dots([part for w, m in compounds for part in (filter(None, m.groups()) if m else (w,))])
         if bracket is not None:
             return cls(column, tuple(words), known_unit(bracket[1]) or _OTHERS.get(bracket[1].lower(), ""))
         for length in (2, 1):

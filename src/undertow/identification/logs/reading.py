@@ -504,13 +504,13 @@ def _attitude(mapping: LogMapping) -> str:
 
 
 def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) -> list[str]:
-    factors = {name: _to_si(name, column, where) for name, column in sources.items()}
-    changed = [
-        f"{sources[name].channel} = {scale:.9g} {_term(name, sources[name].power)}"
-        + (f" + {offset:.9g}" if offset else "")
-        for name, (scale, offset) in factors.items()
-        if (scale, offset, sources[name].power) != (1.0, 0.0, 1.0)
-    ]
+    changed = []
+    for name, column in sources.items():
+        (scale, offset), power = _to_si(name, column, where), column.power
+        magnified = "" if power == 1.0 else f" |{name}|" if power == 2.0 else f" |{name}|^{power - 1.0:g}"
+        if (scale, offset, power) != (1.0, 0.0, 1.0):
+            added = f" + {offset:.9g}" if offset else ""
+            changed.append(f"{column.channel} = {scale:.9g} {name}{magnified}{added}")
     changed += [f"{n} = {c.expression} {c.unit or ''}".rstrip() for n, c in mapping.channels.items()]
     notes = [f"converted: {', '.join(changed)}"] if changed else []
     late = {n: c.delay for n, c in mapping.channels.items()} | {c.channel: c.delay for c in sources.values()}
@@ -532,10 +532,6 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
         text = ", ".join(f"{speed:g}" for speed in mapping.water.velocity)
         notes.append(f"velocity of the water, {text} m/s north, east, down, added to u, v, w")
     return notes
-
-
-def _term(name: str, power: float) -> str:
-    return name if power == 1.0 else f"{name} |{name}|" + ("" if power == 2.0 else f"^{power - 1.0:g}")
 
 
 def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
@@ -591,7 +587,11 @@ def decimated(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFra
         place = before + np.arange(table.height)
         kept = place % every == 0
         for name in table.columns:
-            reports = place[_has_value(table[name])]
+            cells = table[name]
+            there = cells.is_not_null()
+            if cells.dtype.is_float():
+                there &= cells.is_not_nan().fill_null(value=False)
+            reports = place[there.to_numpy()]
             late = _overdue(reports, every, last.get(name, -every))
             kept[late - before] = True
             last[name] = max((last.get(name, -every), *late[-1:], *reports[reports % every == 0][-1:]))
@@ -609,10 +609,3 @@ def _overdue(reports: Index, every: int, last: int) -> Index:
         if report - max((regularly, *found[-1:])) >= every:
             found.append(int(report))
     return np.array(found, dtype=np.intp)
-
-
-def _has_value(column: pl.Series) -> Flags:
-    there = column.is_not_null()
-    if column.dtype.is_float():
-        there &= column.is_not_nan().fill_null(value=False)
-    return there.to_numpy()

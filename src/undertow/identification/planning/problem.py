@@ -314,11 +314,9 @@ _CAUSES = {
 
 
 class PlanningProblem:
-    """A request made concrete for a vehicle and its logs: time, actuators, limits, noise and models.
+    """A request made concrete for a vehicle and its logs: time, actuators, limits, noise and models."""
 
-    `plants` are models of the same vehicle: a manoeuvre must be safe by all of them, and the first one is
-    held in trim.
-    """
+    # Of several models of the vehicle, a manoeuvre must be safe by all, and the first one is held in trim.
 
     def __init__(
         self, request: PlanRequest, vehicle: Vehicle, plants: Sequence[Plant], runs: Sequence[Run]
@@ -524,15 +522,12 @@ Goal = Literal["parameters", "separate"]
 
 
 class PlannedCommand(ResultTable):
-    """A command: its limit and where that comes from, its value at rest, and what the plan uses.
-
-    `least` is the lowest value that it may have, minus `limit` unless it is one-sided.
-    """
+    """A command: its limit and where that comes from, its value at rest, and what the plan uses."""
 
     name: str
     unit: str
     limit: float
-    least: float
+    least: float  # the lowest value that it may have, minus `limit` unless it is one-sided
     limit_from: str
     trim: float
     lowest: float
@@ -548,31 +543,24 @@ class PlannedNoise(ResultTable):
 
 
 class PlannedParameter(ResultTable):
-    """A parameter, in the sign convention of the vehicle file, and how well it is known.
-
-    Standard errors are None where nothing determines the parameter.
-    """
+    """A parameter, in the sign convention of the vehicle file, and how well it is known."""
 
     name: str
     unit: str
     about: str
     value: float
-    error_now: float | None
+    error_now: float | None  # standard errors; None where nothing determines the parameter
     error_after: float | None
     verdict: Literal["", "badly known", "not determined"]
 
 
 class Separation(ResultTable):
-    """How far the predictions of two models are apart once each has been refitted to the other.
-
-    `chi_square` is the smaller of the two ways round, in units of the noise; `deviations` its root. Those
-    with `_now` are of the logs; None without logs.
-    """
+    """How far the predictions of two models are apart once each has been refitted to the other."""
 
     pair: tuple[str, str]
-    chi_square: float
-    deviations: float
-    chi_square_now: float | None
+    chi_square: float  # the smaller of the two ways round, in units of the noise
+    deviations: float  # its root
+    chi_square_now: float | None  # the same of the logs; None without logs
     deviations_now: float | None
 
 
@@ -586,13 +574,7 @@ class Rival(ResultTable):
 
 
 class Plan(ResultTable):
-    """Outcome of `undertow plan`.
-
-    `families` has the value of the criterion for the best manoeuvre of every kind, None where no manoeuvre of
-    it was within the limits. The criterion of the goal "parameters" is the mean factor by which standard
-    errors fall (geometric mean); of "separate", the standard deviations between the two models that are
-    hardest to tell apart.
-    """
+    """Outcome of `undertow plan`."""
 
     schema_id: str = SCHEMA
     undertow: str
@@ -605,8 +587,10 @@ class Plan(ResultTable):
     rate: float
     speed: float  # ahead, at the start, m/s
     manoeuvre: str
+    # Of "parameters" the mean factor by which standard errors fall (geometric mean); of "separate" the
+    # standard deviations between the two models that are hardest to tell apart.
     criterion: float
-    families: dict[str, float | None]
+    families: dict[str, float | None]  # of the best manoeuvre of every kind; None without one in the limits
     commands: list[PlannedCommand]
     noise: list[PlannedNoise]
     extremes: dict[str, float]

@@ -57,7 +57,10 @@ def typical_values(candidate: Candidate, problem: PlanningProblem) -> dict[str, 
     for name, value in fixed.items():
         plant.p[plant.functions.parameter_names.index(name)] = value
     problem = problem.without_drift()
-    sizes = _TypicalSizes(plant, problem, _multisine(problem))
+    # A manoeuvre of medium size on all axes at once, different on each.
+    family = next(f for f in problem.families if MULTISINE in f.shapes and not f.in_turn)
+    manoeuvre = problem.simulated(Design(family, 0.5 + 0.3 * np.sin(7.0 * np.arange(family.size))))
+    sizes = _TypicalSizes(plant, problem, manoeuvre)
     share = SETTINGS.typical / np.sqrt(max(len(parameters) - len(fixed), 1))
     sized = {p.name: sizes.of(p, share) for p in parameters if p.neutral == 0.0}
     return {name: float(value) for name, value in (fixed | sized).items()}
@@ -74,12 +77,6 @@ def _sign(parameter: Parameter) -> float:
     """Drag and added mass are negative; what may be either is positive."""
     low, high = parameter.bounds
     return -1.0 if high <= 0 or (low < 0 and parameter.on_left_side) else 1.0
-
-
-def _multisine(problem: PlanningProblem) -> Manoeuvre:
-    """A manoeuvre of medium size on all axes at once, different on each."""
-    family = next(f for f in problem.families if MULTISINE in f.shapes and not f.in_turn)
-    return problem.simulated(Design(family, 0.5 + 0.3 * np.sin(7.0 * np.arange(family.size))))
 
 
 def _rms(columns: Array) -> float:

@@ -39,10 +39,7 @@ from undertow.typing import Array
 # --- what is shown --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Trace:
-    """One channel of one run, measured and simulated by two models; arrays of shape (n,).
-
-    `given` is simulated by the model before any fit. NaN breaks a line, None leaves it out.
-    """
+    """One channel of one run, measured and simulated by two models, (n,) each; NaN breaks a line."""
 
     channel: str
     unit: str
@@ -50,32 +47,28 @@ class Trace:
     measured: Array
     before: Array
     after: Array | None = None
-    given: Array | None = None
+    given: Array | None = None  # simulated by the model before any fit
 
 
 @dataclass(frozen=True)
 class RunTraces:
-    """All channels of one run; `caption` says how they were simulated."""
+    """All channels of one run."""
 
     run: str
     traces: tuple[Trace, ...]
-    caption: str = ""
+    caption: str = ""  # how they were simulated
 
 
 @dataclass(frozen=True)
 class ErrorMap:
-    """An error of two models by degree of freedom and regime, arrays of shape (n_rows, n_regimes).
-
-    NaN where there are no data. `quantity` is what the numbers are, with their unit; `floor` what noise alone
-    gives.
-    """
+    """An error of two models by degree of freedom and regime, (n_rows, n_regimes); NaN without data."""
 
     rows: tuple[str, ...]
     regimes: tuple[str, ...]
     before: Array
     after: Array | None = None
-    quantity: str = "error / noise"
-    floor: float | None = 1.0
+    quantity: str = "error / noise"  # what the numbers are, with their unit
+    floor: float | None = 1.0  # what noise alone gives
 
 
 @dataclass(frozen=True)
@@ -106,19 +99,15 @@ class Listing:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything that a report draws of two models, `before` and `after`, on the validation runs.
-
-    `headlines` say where the models fail most, `budgets` are those of the final model, `settings` and
-    `versions` record how it was worked out.
-    """
+    """Everything that a report draws of two models, `before` and `after`, on the validation runs."""
 
     before: str = "model as given"
     after: str = "with what is missing"
-    headlines: tuple[str, ...] = ()
+    headlines: tuple[str, ...] = ()  # where the models fail most
     maps: tuple[ErrorMap, ...] = ()
     runs: tuple[RunTraces, ...] = ()
     residuals: tuple[ResidualCurve, ...] = ()
-    budgets: tuple[Budget, ...] = ()
+    budgets: tuple[Budget, ...] = ()  # those of the final model
     fits: Listing | None = None
     settings: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)

@@ -23,20 +23,16 @@ from .sentences import as_stated, changes, percentage, rises, step_changes, usel
 
 
 class FittedParameter(ResultTable):
-    """A parameter after the fit, in the units and signs of the vehicle file.
-
-    `bound` is the error that sensor noise alone would leave (Cramér-Rao), `t` the magnitude over
-    the standard error, `identified` what the logs determine of it. What is not known is null.
-    """
+    """A parameter after the fit, in the units and signs of the vehicle file; null for what is not known."""
 
     parameter: str
     value: float
     standard_error: float | None
-    bound: float | None
+    bound: float | None  # the error that sensor noise alone would leave (Cramér-Rao)
     unit: str
     before: float | None
-    t: float
-    identified: str
+    t: float  # magnitude over the standard error
+    identified: str  # what the logs determine of it
 
 
 class ChannelError(ResultTable):
@@ -95,12 +91,7 @@ def channel_errors(before: Mapping[str, float], after: Mapping[str, float]) -> l
 
 
 class AdditionResult(ResultTable):
-    """Outcome of `undertow add`.
-
-    `steps` are the model as given, refitted without the effect, and with it; `fall` is the mean fall of the
-    mean square over the blocks of the validation data, with its 95 % interval, and `p_value` the chance of so
-    consistent a fall where the effect does nothing.
-    """
+    """Outcome of `undertow add`."""
 
     schema_id: Literal["undertow/addition/1"] = "undertow/addition/1"
     undertow: str = __version__
@@ -109,10 +100,10 @@ class AdditionResult(ResultTable):
     helps: bool
     sentence: str
     runs: list[RunInfo]
-    steps: list[Step]
-    fall: float
-    interval: tuple[float | None, float | None]
-    p_value: float
+    steps: list[Step]  # the model as given, refitted without the effect, and with it
+    fall: float  # mean fall of the mean square over the blocks of the validation data
+    interval: tuple[float | None, float | None]  # of 95 %, of the fall
+    p_value: float  # chance of so consistent a fall where the effect does nothing
     parameters: list[Estimate]
     dropped: list[str]
     # How long logs were decimated and which segments were used; null for logs that fit as a whole.

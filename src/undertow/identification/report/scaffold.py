@@ -38,19 +38,15 @@ from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, POSE, VELOCITY, sig
 
 @dataclass(frozen=True)
 class Timing:
-    """A parameter of a time-dependent force: an angular frequency, or the time of a step.
-
-    `resolution` is half of what the logs can tell apart: fits also start that far from `value`. `sharpness`
-    is the time of a step over its duration.
-    """
+    """A parameter of a time-dependent force: an angular frequency, or the time of a step."""
 
     name: str
     unit: str
     about: str
     value: float
-    resolution: float
+    resolution: float  # half of what the logs can tell apart: fits also start that far from `value`
     bounds: tuple[float, float]
-    sharpness: float = 0.0
+    sharpness: float = 0.0  # time of a step over its duration
 
     @property
     def starts(self) -> tuple[float, ...]:

@@ -18,19 +18,13 @@ from undertow.model.symbols import DOFS, VELOCITY
 
 @dataclass(frozen=True)
 class CommandLine:
-    """The arguments of a command line, for the command to run next.
+    """The arguments of a command line, for the command to run next."""
 
-    vehicle: vehicle file, or the name of a bundled one.
-    logs, holdout: logs that were fitted to, and those for validation.
-    options: how the logs are read, such as ("--map", "log.toml").
-    json_file: the file with the result of a diagnosis, if one is written.
-    """
-
-    vehicle: str = "VEHICLE"
-    logs: tuple[str, ...] = ("LOG",)
-    holdout: tuple[str, ...] = ()
-    options: tuple[str, ...] = ()
-    json_file: str = ""
+    vehicle: str = "VEHICLE"  # vehicle file, or the name of a bundled one
+    logs: tuple[str, ...] = ("LOG",)  # that were fitted to
+    holdout: tuple[str, ...] = ()  # logs for validation
+    options: tuple[str, ...] = ()  # how the logs are read, such as ("--map", "log.toml")
+    json_file: str = ""  # the file with the result of a diagnosis, if one is written
 
     def with_holdout(self, words: Sequence[str], *more: str) -> str:
         """A command with the vehicle, the logs and the validation logs."""

@@ -114,13 +114,13 @@ def _possible_velocities(log: FieldLog, known: Set[str], vehicle: Vehicle | None
     """Columns whose names mean a velocity of the vehicle that is not `known`, and that change."""
     wanted = {*(vehicle.velocity_names if vehicle else VELOCITY)} - known
     every = {f"{one.name}.{column}": (one, column) for one in log.series.values() for column in one.columns}
-    names = [n for n in with_axes([*map(Name.of, every)]) if n.motion() in wanted and not n.along_earth]
-    return tuple(n.column for n in names if _changes(*every[n.column]))
-
-
-def _changes(one: Series, column: str) -> bool:
-    values = one.columns[column]
-    return bool(np.any(values[1:] != values[:1]))
+    found = []
+    for name in with_axes([*map(Name.of, every)]):
+        if name.motion() in wanted and not name.along_earth:
+            one, column = every[name.column]
+            values = one.columns[column]
+            found += [name.column] if np.any(values[1:] != values[:1]) else []
+    return tuple(found)
 
 
 def _may_be_command(column: str, commands: Sequence[str]) -> bool:

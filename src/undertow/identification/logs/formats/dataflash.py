@@ -199,17 +199,12 @@ def _chained(data: Bytes, lengths: NDArray[np.int64]) -> tuple[Index, int]:
         after = int(np.searchsorted(heads, ends[last]))
         if after < len(heads) and heads[after] == ends[last]:
             keep[last + 1 : after], at = False, after
-        elif _is_end(data, int(ends[last])):
+        elif ends[last] <= len(data) and len(np.unique(data[int(ends[last]) :])) <= 1:  # nothing but padding
             keep[last + 1 :], at = False, len(heads)
         else:
             keep[last], at = False, last + 1
             damaged += 1
     return heads[keep], damaged
-
-
-def _is_end(data: Bytes, place: int) -> bool:
-    """Whether nothing but padding follows; memory is written in pages."""
-    return place <= len(data) and len(np.unique(data[place:])) <= 1
 
 
 # --- series ---------------------------------------------------------------------------------------
@@ -246,9 +241,11 @@ def open_records(path: Path) -> Records:
     notes = [f"{damaged} damaged segments, {skipped} bytes, are left out"] if damaged else []
     rows = _rows_of(data[places + 2])
     there = {kinds[k].name: _Messages(kinds[k], places[own], data) for k, own in rows.items()}
-    clocks = {
-        name: _clock(m) for name, m in there.items() if m.kind.columns[:1] and m.kind.columns[0] in _CLOCKS
-    }
+    clocks = {}
+    for name, messages in there.items():
+        column = next(iter(messages.kind.columns), "")
+        if column in _CLOCKS:
+            clocks[name] = messages.numbers(column) * _CLOCKS[column]
     if not clocks:
         raise UndertowError(f"log {path} has no message with a time: check that it is complete")
     t = np.full(len(places), np.nan)
@@ -290,11 +287,6 @@ def _series(messages: dict[str, _Messages], clocks: dict[str, Array]) -> dict[st
 
 
 _CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
-
-
-def _clock(messages: _Messages) -> Array:
-    column = messages.kind.columns[0]
-    return messages.numbers(column) * _CLOCKS[column]
 
 
 def _by_instance(messages: _Messages, column: str | None) -> Iterator[tuple[str, Flags]]:

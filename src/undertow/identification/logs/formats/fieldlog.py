@@ -151,7 +151,12 @@ class FieldLog:
             )
         kept, t, places = self._rows(wanted, window)
         times = [self.series[name].t[rows] for name, rows in kept.items()]
-        table = {TIME: t, **self._numbers(len(t), times, places)}
+        table = {TIME: t}
+        if self.intervals:  # the segment of each row: that of the latest of its samples which is in one
+            table[STRETCH] = np.full(len(t), np.nan)
+            for k, (first, last) in enumerate(self.intervals, start=1):
+                for own, place in zip(times, places, strict=True):
+                    table[STRETCH][place[(own >= first) & (own <= last)]] = k
         for (name, fields), place in zip(wanted.items(), places, strict=True):
             for column in fields:
                 cells = np.full(len(t), np.nan)
@@ -195,14 +200,6 @@ class FieldLog:
                 "or leave columns out of a mapping file (--map; undertow import writes one)"
             )
         return inside, t, places
-
-    def _numbers(self, rows: int, times: Sequence[Array], places: Sequence[Places]) -> dict[str, Array]:
-        """The segment of each row: that of the latest of its samples which is in one."""
-        number = np.full(rows, np.nan)
-        for k, (first, last) in enumerate(self.intervals):
-            for t, place in zip(times, places, strict=True):
-                number[place[(t >= first) & (t <= last)]] = k + 1
-        return {STRETCH: number} if self.intervals else {}
 
     def has(self, name: str) -> bool:
         """Whether it has a column of this name; series are decoded only as far as it is looked for."""

@@ -137,19 +137,16 @@ def _mode(message: Any, constants: Mapping[str, Any]) -> str:
     """What a Doppler log tracked: bottom or water; "" where it does not say."""
     for name in ("velocity_mode", "mode", "track", "tracking_mode"):
         value = getattr(message, name, None)
-        words = (
-            [value] if isinstance(value, str) else [c for c, v in constants.items() if _is_mode(c, v, value)]
-        )
+        words = [value] if isinstance(value, str) else [c for c, v in constants.items() if v == value]
+        if not isinstance(value, str):
+            told = ("mode", "bottom", "water", "track")
+            words = [word for word in words if any(part in word.lower() for part in told)]
         for what in ("bottom", "water"):
             if any(what in str(word).lower() for word in words):
                 return what
         if words:
             return "none"
     return ""
-
-
-def _is_mode(constant: str, number: Any, value: Any) -> bool:
-    return number == value and any(word in constant.lower() for word in ("mode", "bottom", "water", "track"))
 
 
 # --- what they mean -------------------------------------------------------------------------------
@@ -455,11 +452,6 @@ class _Types:
             return self.known(inner)
         return kind == _BASE or self._defined(inner[0])
 
-    def has_header(self, name: str) -> bool:
-        """Whether messages of a type begin with a header."""
-        fields = self.store.fielddefs[name][1]
-        return bool(fields) and fields[0][1] == (_NAME, "std_msgs/msg/Header")
-
     def sound(self, raw: bytes, name: str) -> Any:
         """The message of some bytes; None for damaged ones."""
         decode = self.store.deserialize_ros1 if self.ros1 else self.store.deserialize_cdr
@@ -587,7 +579,8 @@ def _definitions(folder: Path, typesys: Any) -> dict[str, Any]:
 def _times(one: _Records, types: _Types, begin: int) -> tuple[Array, str]:
     """Times of the messages of a topic, s from the start of the bag, and a note on unusual ones."""
     recorded = (np.array(one.stamps, dtype=np.int64) - begin).astype(np.float64) * 1e-9
-    if not types.has_header(one.type):
+    fields = types.store.fielddefs[one.type][1]
+    if not fields or fields[0][1] != (_NAME, "std_msgs/msg/Header"):
         return recorded, ""
     # Bytes 4 to 12 are the stamp: after the number of a message (ROS 1) or the byte order.
     order = ">u4" if not types.ros1 and one.raw[0][1] & 1 == 0 else "<u4"

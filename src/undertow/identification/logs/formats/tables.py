@@ -66,7 +66,9 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
             found.append(series)
             lacking += notes
         except UndertowError as error:
-            reasons.append(f"{file.relative_to(path)} ({_reason(error, file)})")
+            said = str(error).removeprefix(f"log {file}").lstrip(": ")
+            reason = re.split(r": |; ", said)[0].removeprefix("is ")
+            reasons.append(f"{file.relative_to(path)} ({reason})")
     if not found:
         raise UndertowError(f"log {path} has no table with a time: {reasons[0]}")
     _refuse_runs(path, files, found)
@@ -81,11 +83,6 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
         remarks = (f"{lacking[0]}{others}", *remarks)
     log = FieldLog(path, FORMAT.name, by_name, notes=remarks, files=tuple(files), by_name=True)
     return in_order(_guessed(log))
-
-
-def _reason(error: UndertowError, file: Path) -> str:
-    """Why a file is left out, in a few words."""
-    return re.split(r": |; ", str(error).removeprefix(f"log {file}").lstrip(": "))[0].removeprefix("is ")
 
 
 def _guessed(log: FieldLog) -> FieldLog:
@@ -149,14 +146,12 @@ def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
         there = counted[np.isfinite(counted)]
         if len(there) < 2 or np.mean(later_than_before(there)) <= 1.0 - SETTINGS.late:
             continue
-        t = counted if name in halves else counted * SECONDS[_unit(name, there)]
+        unit = "s" if name in halves else unit_of_clock(name)
+        unit = unit or unit_by_steps(there, float(np.nanmedian(np.diff(there))))
+        t = counted * SECONDS[unit]
         if np.nanmin(t) > SETTINGS.since:
             return t, (name, halves[name]) if name in halves else (name,)
     return None, ()
-
-
-def _unit(name: str, stamps: Array) -> str:
-    return unit_of_clock(name) or unit_by_steps(stamps, float(np.nanmedian(np.diff(stamps))))
 
 
 def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> None:
