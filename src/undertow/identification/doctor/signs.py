@@ -128,7 +128,7 @@ class Signs:
         self.runs = [most_active_part(run, vehicle, SETTINGS.samples) for run in runs]
         rows = [self._rows(run) for run in self.runs]
         known = [{dof: row.fitted() for dof, row in of.items()} for of in rows]
-        self._evidence = [{dof for dof, f in of.items() if f.free > SETTINGS.share} for of in known]
+        self._evidence = [[dof for dof, f in of.items() if f.free > SETTINGS.share] for of in known]
         self.given = self._weight(known)
 
     def without(self, undo: Undo) -> SignEvidence:
