@@ -18,20 +18,10 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
 
+from . import opening
 from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping
-from .opening import (
-    FieldLogs,
-    empty,
-    field_log,
-    is_dated,
-    must_have,
-    no_segment,
-    opened_field_log,
-    opened_table,
-    segments_in,
-    times_of,
-)
+from .opening import FieldLogs
 from .reading import decimated, run_of_table
 from .run import Run, later_than_before
 from .table import (
@@ -117,7 +107,7 @@ class LongLog:
         for table in tables:
             if origin is None:
                 origin = self._origin(table)
-            t, lost = times_of(table, self.mapping, self._where, origin)[0], 0
+            t, lost = opening.times_of(table, self.mapping, self._where, origin)[0], 0
             if not overlap:
                 later = self._later(t, latest)
                 table, t, lost = table.filter(later), t[later], int(np.sum(~later))
@@ -158,9 +148,11 @@ class LongLog:
     def segments(self, column: str) -> list[pl.LazyFrame]:
         """The segments of its file: lazily of a Parquet file, in memory of a text."""
         if not is_parquet(self._first_bytes):
-            parts = segments_in(opened_table(self.path, self.mapping).table, column, self._where)
+            parts = opening.segments_in(
+                opening.opened_table(self.path, self.mapping).table, column, self._where
+            )
             return [part.lazy() for part in parts]
-        must_have(column, self._flat.collect_schema().names(), self._where, "column of segments,")
+        opening.must_have(column, self._flat.collect_schema().names(), self._where, "column of segments,")
         row = pl.col("row")
         ranges = (
             self._flat.select(column).with_row_index("row").drop_nulls().group_by(column)
@@ -168,7 +160,7 @@ class LongLog:
             .sort("first").collect(engine="streaming")
         )  # fmt: skip
         if not ranges.height:
-            raise UndertowError(no_segment(column, self._where))
+            raise UndertowError(opening.no_segment(column, self._where))
         found = []
         for number, first, stop, rows in ranges.iter_rows():
             # Where the rows of a segment are contiguous, no others are read.
@@ -229,9 +221,9 @@ class LongLog:
 
     def _origin(self, table: pl.DataFrame) -> Origin:
         for name in self.mapping.time.columns:
-            must_have(name, table.columns, self._where, "time column")
-        rows = table if is_dated(table, self.mapping) else table.head(1)
-        return times_of(rows, self.mapping, self._where)[1]
+            opening.must_have(name, table.columns, self._where, "time column")
+        rows = table if opening.is_dated(table, self.mapping) else table.head(1)
+        return opening.times_of(rows, self.mapping, self._where)[1]
 
     def _refuse_no_file(self) -> None:
         if self.table is None:
@@ -301,12 +293,12 @@ def long_logs(
     are read are held. `field_logs` has those that are open already; others are added.
     """
     names = tuple(commands)
-    log = field_log(path, mapping, field_logs)
+    log = opening.field_log(path, mapping, field_logs)
     if log is not None:
         needed, also = (names, ()) if required else ((), names)
-        found = opened_field_log(log, mapping, needed, also, window)
+        found = opening.opened_field_log(log, mapping, needed, also, window)
         whole = LongLog(path, found.mapping, names, window, missing_commands, required)
-        parts = segments_in(found.table, found.mapping.time.stretch, f"log {path}")
+        parts = opening.segments_in(found.table, found.mapping.time.stretch, f"log {path}")
         return _numbered(replace(whole, reader_notes=found.notes), [part.lazy() for part in parts])
     whole = LongLog(path, mapping or LogMapping(), names, window, missing_commands, required)
     column = whole.mapping.time.stretch
@@ -374,6 +366,6 @@ def outline(parts: Iterable[Run], name: str, sha256: str) -> Run:
             ends = min(low, float(known.min())), max(high, float(known.max()))
             found[channel] = [*ends, up + more[0], down + more[1]]
     for channel in counts.keys() - found.keys():
-        raise UndertowError(empty(channel, counts[channel], f"log {name}"))
+        raise UndertowError(opening.empty(channel, counts[channel], f"log {name}"))
     channels = {n: [a, a] if a == b else [up, -down] for n, (a, b, up, down) in found.items()}
     return Run(name, np.array([0.0, 1.0]), {n: np.array(v) for n, v in channels.items()}, sha256=sha256)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, listed, nearest
 from undertow.files import together, write_whole
-from undertow.identification.logs.run import MEASURABLE
 from undertow.model.tables import TURNS
 from undertow.model.units import scale_offset, si_unit
 from undertow.model.vehicle import Vehicle
@@ -23,7 +22,7 @@ from undertow.typing import Array
 
 from .formats.fieldlog import FieldLog, Window, open_field_log, readable
 from .mapping import Channel, Column, Held, LogMapping, mapping_text, turned_name
-from .run import SERIES, UNITS, Run, held_together, last_known, shared_rows
+from .run import MEASURABLE, SERIES, UNITS, Run, held_together, last_known, shared_rows
 from .table import (
     WHOLE,
     LogLimits,

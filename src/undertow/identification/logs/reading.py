@@ -34,29 +34,11 @@ from undertow.model.units import magnitude, scale_offset, si_of, si_unit
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
+from . import opening
 from .compass import corrected
 from .formats.fieldlog import Window, one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
-from .opening import (
-    FieldLogs,
-    check_channel,
-    check_finite,
-    check_time,
-    computed,
-    constant_channels,
-    disorder,
-    dropping_disorder,
-    field_log,
-    fill_commands,
-    must_have,
-    opened_field_log,
-    opened_table,
-    refuse_duplicates,
-    refuse_too_many,
-    segments_in,
-    times_of,
-    with_distinct_names,
-)
+from .opening import FieldLogs
 from .pose_velocity import velocities_from_pose
 from .run import (
     FORCES,
@@ -126,14 +108,14 @@ class _Request:
 
 def _runs_of(path: Path, request: _Request) -> list[Run]:
     """The segments of a log, each as a run."""
-    log = field_log(path, request.mapping, request.field_logs)
+    log = opening.field_log(path, request.mapping, request.field_logs)
     if log is None:
-        found = opened_table(path, request.mapping, request.limits)
+        found = opening.opened_table(path, request.mapping, request.limits)
     else:
-        found = opened_field_log(log, request.mapping, request.channels, request.also, request.window)
-    mapping = dropping_disorder(found.mapping) if request.in_any_order else found.mapping
+        found = opening.opened_field_log(log, request.mapping, request.channels, request.also, request.window)
+    mapping = opening.dropping_disorder(found.mapping) if request.in_any_order else found.mapping
     options = (path, mapping, request.channels, request.window, request.missing_commands, request.also)
-    parts = segments_in(found.table, mapping.time.stretch, f"log {path}")
+    parts = opening.segments_in(found.table, mapping.time.stretch, f"log {path}")
     runs = [run_of_table(part, *options) for part in parts]
     runs = [replace(r, mapping=found.mapping, sha256=found.sha256, reader_notes=found.notes) for r in runs]
     if len(runs) == 1:
@@ -177,10 +159,10 @@ def read_logs(
         request = _Request(meaning, needed, window, missing_commands, also, limits, in_any_order, field_logs)
         read = [_with_note_on_newtons(run, vehicle) for run in _runs_of(path, request)]
         if to_fit:
-            refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
+            opening.refuse_too_many(sum(len(r.t) for r in (*runs, *read)), path)
         runs += read if part else [_with_velocities(run, vehicle) for run in read]
-    refuse_duplicates(runs)
-    return with_distinct_names(runs)
+    opening.refuse_duplicates(runs)
+    return opening.with_distinct_names(runs)
 
 
 def mapping_for(
@@ -277,7 +259,9 @@ def run_of_table(
         read = {
             c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
         }
-        read |= {n: computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()}
+        read |= {
+            n: opening.computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()
+        }
         common = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _in_ned_frd(common.channels, mapping, where)
     run = Run(
@@ -314,17 +298,17 @@ def _held(run: Run, stated: Held) -> tuple[str, ...]:
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
     """The columns that are read, by name, with their channels."""
     for name in mapping.time.columns:
-        must_have(name, names, where, "time column")
+        opening.must_have(name, names, where, "time column")
     required = mapping.required(commands)
     for name, column in mapping.columns.items():
         if name in required:
-            must_have(name, names, where, f"column for channel {column.channel!r},")
+            opening.must_have(name, names, where, f"column for channel {column.channel!r},")
         if column.fresh is not None and name in names:
-            must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
+            opening.must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
     found = {name: column for name, column in mapping.columns.items() if name in names}
     for channel in mapping.channels.values():
         for name in channel.formula.columns:
-            must_have(name, names, where, f"column of expression {channel.expression!r},")
+            opening.must_have(name, names, where, f"column of expression {channel.expression!r},")
     taken = {column.channel for column in found.values()} | {*mapping.channels}
     for name in names:
         by_name = (name in UNITS or name in commands) and name not in taken and name not in mapping.ignore
@@ -333,7 +317,7 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
     known = [*(column.channel for column in found.values()), *mapping.channels]
     for name in commands:
         constant = f', or a constant under [channels], such as {name} = "0", for one that was never used'
-        must_have(name, known, where, "command channel", names, constant)
+        opening.must_have(name, known, where, "command channel", names, constant)
     return found
 
 
@@ -342,13 +326,13 @@ def _time(
 ) -> tuple[pl.DataFrame, Array, list[str]]:
     """Return the rows that are used, their times and notes."""
     spec = mapping.time
-    t, _, notes = times_of(table, mapping, where, origin)
+    t, _, notes = opening.times_of(table, mapping, where, origin)
     if spec.disorder == "drop":
         later = later_than_before(t)
-        notes += disorder(t, later)
+        notes += opening.disorder(t, later)
         table, t = table.filter(later), t[later]
     notes += [f"one row in {spec.every} used"] if spec.every > 1 else []
-    check_time(t, spec.column, where)
+    opening.check_time(t, spec.column, where)
     return table, t, notes
 
 
@@ -474,11 +458,11 @@ def _in_ned_frd(channels: Channels, mapping: LogMapping, where: str) -> Channels
     if _attitude(mapping) == "ENU":
         channels = swap_attitude(channels)
     if mapping.compass is not None:
-        must_have("psi", channels, where, "channel, which [compass] corrects,")
+        opening.must_have("psi", channels, where, "channel, which [compass] corrects,")
         turned = mapping.compass.velocities and spec.velocity == "body"
         channels = corrected(channels, mapping.compass.coefficients, velocities=turned)
     if spec.velocity != "body":
-        must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
+        opening.must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
         linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
         channels = velocity_to_body({**channels, **linear}, spec.velocity)
     return channels if mapping.water is None else over_ground(channels, mapping.water.velocity)
@@ -554,7 +538,7 @@ def _checked(
         raise UndertowError(f"{where} has one sample in the time window, at least 2 are needed: widen it")
     if before is not None:
         where = f"{where}, part from t = {run.t[0]:g} to {run.t[-1]:g} s"
-    check = check_channel if before is None else check_finite
+    check = opening.check_channel if before is None else opening.check_finite
     for name, data in run.channels.items():
         check(name, run.t, data, where)
     notes, filled, known = [], dict(run.channels), before or {}
@@ -565,9 +549,9 @@ def _checked(
             if name in sensed:  # the first report of a slow sensor holds from the start
                 first = data[np.isfinite(data)][:1]
                 rule, earlier = "hold", known.get(name, float(first.sum()) if first.size else np.nan)
-            filled[name], note = fill_commands(name, run.t, data, rule, where, earlier)
+            filled[name], note = opening.fill_commands(name, run.t, data, rule, where, earlier)
             notes += [note] if note else []
-    constant = constant_channels(run)
+    constant = opening.constant_channels(run)
     if constant:
         text = ", ".join(f"{name} = {value:g}" for name, value in constant.items())
         notes.append(f"constant channels (unused, or a dead sensor): {text}")

@@ -26,24 +26,8 @@ from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
 
-from .manoeuvres import (
-    Axis,
-    Design,
-    Family,
-    Limit,
-    MotionLimits,
-    Start,
-    command_limits,
-    control_effectiveness,
-    every_axis,
-    extremes,
-    families,
-    nearest_limit,
-    planned_noise,
-    steering,
-    taper,
-    trim,
-)
+from . import manoeuvres
+from .manoeuvres import Axis, Design, Family, Limit, MotionLimits, Start
 
 
 @dataclass(frozen=True)
@@ -324,16 +308,16 @@ class PlanningProblem:
         self.duration, self.rate = request.sampling(runs)
         self.request, self.vehicle, self.runs = request, vehicle, tuple(runs)
         self.plants, self.motion = tuple(plants), request.motion
-        self.limits = command_limits(vehicle, request.limits, runs)
+        self.limits = manoeuvres.command_limits(vehicle, request.limits, runs)
         if not len(self.limits.value):
             raise UndertowError(
                 f"'{vehicle.name}' has no thruster and no known force, so nothing can be planned"
             )
-        self.noise = planned_noise(vehicle, request.noise, runs)
+        self.noise = manoeuvres.planned_noise(vehicle, request.noise, runs)
         start, functions = Start(self.depth, self.speed), plants[0].functions
-        self.effectiveness = control_effectiveness(functions, self.limits, start)
-        self.trim = trim(functions, self.limits, self.effectiveness, start)
-        self.steered = steering(functions, self.limits, start, self.effectiveness)
+        self.effectiveness = manoeuvres.control_effectiveness(functions, self.limits, start)
+        self.trim = manoeuvres.trim(functions, self.limits, self.effectiveness, start)
+        self.steered = manoeuvres.steering(functions, self.limits, start, self.effectiveness)
         self.bias, self._room = self.limits.bias_and_room(self.trim.commands)
         self.t = np.arange(round(self.duration * self.rate)) / self.rate
         self.names = (*vehicle.pose_names, *vehicle.velocity_names)
@@ -368,9 +352,9 @@ class PlanningProblem:
     @cached_property
     def families(self) -> list[Family]:
         """All manoeuvres that can be carried out."""
-        motions, actuators = every_axis(self.vehicle, self.effectiveness, self._room)
+        motions, actuators = manoeuvres.every_axis(self.vehicle, self.effectiveness, self._room)
         groups = [(axes, self.reach(axes)) for axes in (motions, actuators) if axes]
-        return families(groups, self.steered)
+        return manoeuvres.families(groups, self.steered)
 
     def tries(self, columns: int, calls: int = 1) -> int:
         """How many manoeuvres to simulate, when each takes so many sensitivities in so many calls."""
@@ -407,7 +391,7 @@ class PlanningProblem:
 
     def excitation(self, design: Design, sizes: Array) -> Array:
         """Commands of a manoeuvre beyond the trim, with their bias, (n, k)."""
-        bias = np.min(sizes) * taper(self.t)[:, None] * self.safe_bias
+        bias = np.min(sizes) * manoeuvres.taper(self.t)[:, None] * self.safe_bias
         return bias + design.family.excitation(self.t, design.numbers, sizes)
 
     def simulated(self, design: Design) -> Manoeuvre:
@@ -434,7 +418,7 @@ class PlanningProblem:
         motions = [self.predicted(plant, self.t, commands) for plant in self.plants]
         found = []
         for u, *y in zip(commands, *motions, strict=True):
-            nearest = (nearest_limit(one, self.names, self.motion) for one in y)
+            nearest = (manoeuvres.nearest_limit(one, self.names, self.motion) for one in y)
             limit, ratio = max(nearest, key=lambda pair: pair[1])
             found.append(Manoeuvre(self.t, u, tuple(y), ratio, limit))
         return found
@@ -481,7 +465,7 @@ class PlanningProblem:
         ratios = np.zeros(len(u))
         for plant in self.plants:
             y = self.predicted(plant, t, u)
-            ratios = np.maximum(ratios, [nearest_limit(one, self.names, bounds)[1] for one in y])
+            ratios = np.maximum(ratios, [manoeuvres.nearest_limit(one, self.names, bounds)[1] for one in y])
         safe = ratios.reshape(-1, 2).max(axis=1) <= 1.0
         return float(shares[np.argmax(safe)] if safe.any() else shares[-1])
 
@@ -640,7 +624,7 @@ def noise_of(problem: PlanningProblem) -> list[PlannedNoise]:
 
 def extremes_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> dict[str, float]:
     """Largest motions by any of the models, SI."""
-    found = [extremes(y, problem.names) for y in manoeuvre.y]
+    found = [manoeuvres.extremes(y, problem.names) for y in manoeuvre.y]
     return {what: max(one[what] for one in found) for what in found[0]}
 
 
