@@ -70,6 +70,10 @@ def examples(folder: Path, bar: Bar) -> Iterator[Piece]:
     yield from _tank(output)
 
 
+def _text(words: str) -> Piece:
+    return "text", words
+
+
 def page(pieces: Sequence[Piece]) -> str:
     """One HTML page with all pieces."""
     return templates("undertow", html=True).get_template("index.html").render(pieces=pieces)
@@ -105,11 +109,9 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     vehicle = load_vehicle(_AUV / "vehicle.toml")
     names = [*(f"train_{i}" for i in (1, 2, 3)), "holdout"]
     *train, test = read_logs([_AUV / f"{name}.csv.gz" for name in names], vehicle, LogMapping())
-    yield (
-        "text",
+    yield _text(
         "A small AUV with four thrusters was logged in three runs of a minute; a fourth run is for "
-        "validation. Its vehicle file has mass, added mass, damping and restoring, with guesses good to "
-        "15 %.",
+        "validation. Its vehicle file has mass, added mass, damping and restoring, with guesses good to 15 %."
     )
     comparison = compare(vehicle, [test], compiled=False)
     yield "text", f"Where the model fails on the validation run: it {comparison.result.headline}."
@@ -127,21 +129,16 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
         f"{effect} with {', '.join(f'{name} = {value:.4f}' for name, value in own.items())}"
         for effect, own in values.items()
     )
-    yield (
-        "text",
-        (
-            f"For comparison: the log was simulated, independently of undertow's own models, with {hidden} "
-            "(m/s)."
-        ),
+    yield _text(
+        f"For comparison: the log was simulated, independently of undertow's own models, with {hidden} (m/s)."
     )
 
 
 def _verdict(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     d = outcome.diagnosis
-    yield (
-        "text",
+    yield _text(
         f"Every effect of the catalogue that could be added was tried ({len(d.ranking)} of them), each "
-        f"refitted with the rest of the model. Verdict: {d.headline}",
+        f"refitted with the rest of the model. Verdict: {d.headline}"
     )
     for p in d.parameters:
         if p.effect in d.effects:
@@ -160,21 +157,16 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
     velocities = replace(run, traces=tuple(t for t in run.traces if t.channel in VELOCITY))
     sway = [c for c in data.residuals if c.before.degree_of_freedom == "sway"]
     yield output.text("auv/report.html", render_report(outcome.diagnosis, data), "the full report")
-    yield output.picture(
-        "auv/error-map.png",
-        error_map(data.maps[0], names),
-        "residual force by motion and regime",
-    )
-    yield output.picture(
-        "auv/measured-vs-simulated.png",
-        measured_vs_simulated(velocities, names),
-        "the validation run, simulated from its commands alone",
-    )
-    yield output.picture(
-        "auv/residual-force.png",
-        residual_against(sway, names),
-        "residual force in sway, against the variables",
-    )
+    pictures = {
+        "error-map": (error_map(data.maps[0], names), "residual force by motion and regime"),
+        "measured-vs-simulated": (
+            measured_vs_simulated(velocities, names),
+            "the validation run, simulated from its commands alone",
+        ),
+        "residual-force": (residual_against(sway, names), "residual force in sway, against the variables"),
+    }
+    for name, (picture, what) in pictures.items():
+        yield output.picture(f"auv/{name}.png", picture, what)
 
 
 def _falling(output: _Output, addition: Addition) -> Iterator[Piece]:
@@ -245,11 +237,10 @@ Ways = tuple[Way, Way]
 def _hull(output: _Output, bar: Bar) -> Iterator[Piece]:
     """Where inertia and drag fail, which effects lower the error both ways round, and what remains."""
     yield "title", "2. A box hull in a flow solver"
-    yield (
-        "text",
+    yield _text(
         "A Navier-Stokes solver pushed a box hull through water: these data come from no formula. The "
         "model is inertia with linear and quadratic drag. It is identified on one profile of the push and "
-        "judged on the other, then the other way round.",
+        "judged on the other, then the other way round."
     )
     with bar("both ways round") as report:
         report(0.0, "step, judged on multistep")
@@ -278,9 +269,8 @@ def _where(ways: Ways) -> Iterator[Piece]:
         (phase, *(f"{f[phase]:.2f} N" if phase in f else "–" for f in found)) for phase in found[0] | found[1]
     ]
     push = max(float(np.max(np.abs(r.channels["tau_X"]))) for way in ways for r in way.setup.test)
-    yield (
-        "text",
-        f"Force that the fitted model lacks on the other profile (rms; the push reaches {push:.2g} N):",
+    yield _text(
+        f"Force that the fitted model lacks on the other profile (rms; the push reaches {push:.2g} N):"
     )
     yield "table", (("phase", *(way.name for way in ways)), rows)
     for way, forces in zip(ways, found, strict=True):
@@ -312,9 +302,8 @@ def _effects(
     """What each effect does both ways round."""
     names = ("inertia and drag alone", *changed)
     errors = [[way.without for way in ways], *([way.ahead(i) for way in ways] for i in changed)]
-    yield (
-        "text",
-        "What each effect does to the velocity error 5 s ahead on the profile that it was not fitted to:",
+    yield _text(
+        "What each effect does to the velocity error 5 s ahead on the profile that it was not fitted to:"
     )
     rows = [(name, *(f"{e:.1%}" for e in row)) for name, row in zip(names, errors, strict=True)]
     yield "table", (("with", *(way.name for way in ways)), rows)
@@ -326,10 +315,7 @@ def _effects(
     yield output.picture("hull/effects.png", picture, "velocity error 5 s ahead on the other profile, %")
     clear = [i for i in lower if all(way.additions[i].helps for way in ways)]
     yield "text", f"Lower both ways round: {', '.join(lower) or 'none'}."
-    yield (
-        "text",
-        f"Lower beyond chance, by the residual force of both profiles: {', '.join(clear) or 'none'}.",
-    )
+    yield _text(f"Lower beyond chance, by the residual force of both profiles: {', '.join(clear) or 'none'}.")
 
 
 def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
@@ -338,10 +324,9 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     plain = " and ".join(f"{-way.plain.value_of('X_udot').value:.1f}" for way in ways)
     fits = [way.additions[best].fit for way in ways]
     helped = " and ".join(f"{-fit.values['X_udot']:.1f}" for fit in fits)
-    yield (
-        "text",
+    yield _text(
         f"Without {best} the two profiles give {plain} kg of added mass, with it {helped} kg; "
-        f"potential theory, which the fits take as a prior, gives {-prior.value:.1f} kg.",
+        f"potential theory, which the fits take as a prior, gives {-prior.value:.1f} kg."
     )
     for name in ways[0].additions[best].kept:
         values = [
@@ -355,9 +340,8 @@ def _best(output: _Output, ways: Ways, best: str) -> Iterator[Piece]:
     yield "text", f"With it the force that is missing falls {falls} rms."
     for way in ways:
         d = way.outcome.diagnosis
-        yield (
-            "text",
-            f"Diagnosis of the fit to {way.profile}, judged on {way.other}: {d.verdict}. {d.headline}",
+        yield _text(
+            f"Diagnosis of the fit to {way.profile}, judged on {way.other}: {d.verdict}. {d.headline}"
         )
     yield "text", "The residual is not noise, because these logs have hardly any."
     for way in ways:
@@ -386,10 +370,9 @@ def _tank(output: _Output) -> Iterator[Piece]:
     yield "title", "3. A hull in a virtual towing tank"
     tank = read_tank(DATA / "tank")
     found = coefficients(DATA / "tank", tank)
-    yield (
-        "text",
+    yield _text(
         f"There is no vehicle yet, only a mesh of its hull: an AUV of {tank.mass:g} kg, {tank.size:g} m "
-        "long. OpenFOAM pushed it (added mass) and towed it forward (damping); the logs give:",
+        "long. OpenFOAM pushed it (added mass) and towed it forward (damping); the logs give:"
     )
     rows = [(f"-{c.name}", c.way, f"{c.value:.4g}", f"{c.sigma:.2g}", c.unit) for c in found]
     yield "table", (("coefficient", "direction", "value", "sigma", "unit"), rows)

@@ -46,11 +46,8 @@ def catalogue() -> Catalogue:
     >>> print(ut.catalogue()["ocean_current"].about())
     Water that moves steadily and uniformly over ground.
     """
-    modules = (
-        importlib.import_module(f"{effects.__name__}.{m.name}")
-        for m in pkgutil.iter_modules(effects.__path__)
-    )
-    own = [cls for module in modules for cls in effects_in(module)]
+    names = [f"{effects.__name__}.{m.name}" for m in pkgutil.iter_modules(effects.__path__)]
+    own = [cls for name in names for cls in effects_in(importlib.import_module(name))]
     added = [_installed(point) for point in entry_points(group="undertow.effects")]
     return MappingProxyType(merge({}, [*own, *added]))
 
@@ -73,12 +70,8 @@ def _installed(point: EntryPoint) -> type[Effect]:
 
 def effects_in(module: ModuleType) -> list[type[Effect]]:
     """Concrete effect classes that a module defines itself."""
-    members = (m for _, m in inspect.getmembers(module, inspect.isclass))
-    return [
-        c
-        for c in members
-        if issubclass(c, Effect) and not inspect.isabstract(c) and c.__module__ == module.__name__
-    ]
+    members = [m for _, m in inspect.getmembers(module, inspect.isclass) if issubclass(m, Effect)]
+    return [m for m in members if not inspect.isabstract(m) and m.__module__ == module.__name__]
 
 
 def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Effect]]:

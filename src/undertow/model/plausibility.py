@@ -47,16 +47,16 @@ def _complaints(vehicle: Vehicle) -> Iterator[str]:
         yield from _places(vehicle, size)
 
 
-_HINTS = {"water_density": "1 g/cm^3 is 1000 kg/m^3", "gravity": "981 cm/s^2 is 9.81 m/s^2"}
-
-
 def _check_environment(vehicle: Vehicle) -> None:
-    for key, name, unit in (("water_density", "rho", "kg/m^3"), ("gravity", "g", "m/s^2")):
+    for key, name, unit, hint in (
+        ("water_density", "rho", "kg/m^3", "1 g/cm^3 is 1000 kg/m^3"),
+        ("gravity", "g", "m/s^2", "981 cm/s^2 is 9.81 m/s^2"),
+    ):
         value, (low, high) = vehicle.environment[name], getattr(_LIMITS, key)
         if not low <= value <= high:
             raise UndertowError(
                 f"{key} = {value:g} {unit} is impossible (possible: {low:g} to {high:g}): correct the "
-                f"number or its unit; {_HINTS[key]}"
+                f"number or its unit; {hint}"
             )
 
 
@@ -270,19 +270,14 @@ def _missing_entries(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _undamped(vehicle: Vehicle) -> Iterator[str]:
-    damped = {
-        i
-        for effect in vehicle.effects
-        if effect.family == "damping"
-        for i, name in diagonal_entries(effect).items()
-        if _is_stated(vehicle, name)
-    }
+    damping, damped = [e for e in vehicle.effects if e.family == "damping"], set[int]()
+    for effect in damping:
+        damped |= {i for i, name in diagonal_entries(effect).items() if _is_stated(vehicle, name)}
     for effect, wrench in vehicle.composition.wrenches.items():
         if effect.family == "damping" and not diagonal_entries(effect):  # of strips, or by lift
             own = {symbol(p.name) for p in effect.parameters if p.name in vehicle.values}
-            damped |= {
-                i for i, row in zip(vehicle.dof_indices, wrench, strict=True) if row.free_symbols & own
-            }
+            rows = zip(vehicle.dof_indices, wrench, strict=True)
+            damped |= {i for i, row in rows if row.free_symbols & own}
     for i in vehicle.dof_indices:
         if i not in damped:
             yield f"nothing damps {DOFS[i]}"

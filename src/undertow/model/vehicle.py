@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -158,12 +158,8 @@ class Vehicle:
     def _check_names(self) -> None:
         _refuse_twice(self.degrees_of_freedom, "degrees_of_freedom has '{}' twice: keep one")
         _refuse_twice(self.force_channels, "generalised_forces has '{}' twice: keep one")
-        kinds: dict[str, Sequence[Thruster | Surface]] = {
-            "thruster": self.thrusters,
-            "surface": self.surfaces,
-        }
-        for kind, parts in kinds.items():
-            names = [part.name for part in parts]
+        thrusters, surfaces = [t.name for t in self.thrusters], [s.name for s in self.surfaces]
+        for kind, names in (("thruster", thrusters), ("surface", surfaces)):
             _refuse_twice(names, f"two {kind}s are called '{{}}': rename one")
             for name in (CHANNELS | {*self.inputs}).intersection(names):
                 raise UndertowError(f"{kind} '{name}' has the name of a measured channel: rename it")
@@ -420,24 +416,17 @@ class Vehicle:
         The others are at rest, except for the channels in `moved`, which are in the log. `pushed`: the rig
         drives the free motions by known forces and measures them; its actuators and sensors are off.
         """
-        kept = tuple(d for d in self.degrees_of_freedom if d in set(free))
-        own = [f"tau_{FORCE[DOFS.index(d)]}" for d in kept]
+        motions = tuple(d for d in self.degrees_of_freedom if d in set(free))
+        own = [f"tau_{FORCE[DOFS.index(d)]}" for d in motions]
         inputs = dict(self.inputs) | {name: MOTION_UNITS[name] for name in moved}
-        alone = replace(
-            self,
-            degrees_of_freedom=kept,
-            inputs=inputs,
-            force_channels=tuple(n for n in own if pushed or n in self.force_channels),
-        )
+        forces = tuple(n for n in own if pushed or n in self.force_channels)
+        alone = replace(self, degrees_of_freedom=motions, inputs=inputs, force_channels=forces)
         if not pushed:
             return alone
         hardware = {*_HARDWARE_TABLES, Propellers.id}
-        effects = (
-            e
-            for e in self.effects
-            if not isinstance(e, Actuation | Measurement) and not hardware.intersection(e.requires)
-        )
-        return replace(alone, thrusters=(), surfaces=(), effects=tuple(effects))
+        effects = (e for e in self.effects if not isinstance(e, Actuation | Measurement))
+        kept = tuple(e for e in effects if not hardware.intersection(e.requires))
+        return replace(alone, thrusters=(), surfaces=(), effects=kept)
 
     def without_priors_from(self, logs: Iterable[str]) -> Vehicle:
         """The vehicle without standard deviations of values that were fitted to one of these logs (sha256).

@@ -133,11 +133,8 @@ def _delays(
     def table(shift: Array) -> Array:
         slopes = [(left(shift + d) - left(shift - d)) / (2 * step) for d in step * np.eye(count)]
         moved = [_advanced(run, sources, shift) for run in runs]
-        others = [
-            regressor_of(kinematics, moved, s)
-            for s in sensors(kinematics)
-            if s.id not in ("sensor_delay", LATE_COURSE)
-        ]
+        kinds = [s for s in sensors(kinematics) if s.id not in ("sensor_delay", LATE_COURSE)]
+        others = [regressor_of(kinematics, moved, s) for s in kinds]
         return np.column_stack([*slopes, *((o * weight[:, :, None]).reshape(-1, o.shape[2]) for o in others)])
 
     found = np.zeros(count)
@@ -312,9 +309,8 @@ def command_clock(at: Dynamics, mapping: LogMapping) -> Finding | None:
         return None
     # A drift is judged beside the best constant delay: alone it would take a share of that, too.
     (found, error), (drift, spread) = constant[:2], (both[0][1], both[1][1])
-    if both[2] < (1 - SETTINGS.least_explained) * constant[2] and abs(drift) > max(
-        SETTINGS.command_certain * spread, SETTINGS.command_steps * step
-    ):
+    beyond = max(SETTINGS.command_certain * spread, SETTINGS.command_steps * step)
+    if both[2] < (1 - SETTINGS.least_explained) * constant[2] and abs(drift) > beyond:
         follows = "the motion follows the commands by {:+.2f} s at the beginning of a run"
         how = f"{follows} and by {{:+.2f}} s at its end"
         return _two_clocks("commands and motion", how, float(both[0][0]), float(drift), float(spread))
@@ -361,10 +357,8 @@ def _explains(at: Dynamics, delay: float) -> bool:
 
 
 def _latency_note(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
-    why = ""
-    if shifted:
-        why = ", which is impossible: compare the clocks of commands and sensors"
-    elif acausal:
+    why = ", which is impossible: compare the clocks of commands and sensors" if shifted else ""
+    if acausal and not shifted:
         why = (
             ", which explains little of the model's residual and proves no clock error: a controller that "
             "responds to what the model lacks looks the same"

@@ -362,9 +362,8 @@ def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float)
         return with_channels(run, {n: top * (scale * run.channels[n] + offset) for n, top in limits.items()})
 
     def edits(mapping: LogMapping) -> Edits:
-        return tuple(
-            column_edit(mapping, n, scale=top * scale, offset=top * offset) for n, top in limits.items()
-        )
+        changes = {n: {"scale": top * scale, "offset": top * offset} for n, top in limits.items()}
+        return tuple(column_edit(mapping, n, **change) for n, change in changes.items())
 
     return Mistake("command_unit", f"commands {', '.join(limits)} are {clause}", undo, edits)
 

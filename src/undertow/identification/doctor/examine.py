@@ -434,13 +434,10 @@ def supported_by_model(
     equals = [found.mistake, *found.rivals][:_MOST_EQUALS]
     if len(equals) == 1:
         return found.mistake, []
-    left = [_residual(vehicle, runs, m) for m in equals]
+    left = []  # by the refitted model beyond the noise, geometric mean over its equations of motion
+    for mistake in equals:
+        at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
+        left.append(np.inf if at is None else np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))
     best = min(left)
     good = [m for m, value in zip(equals, left, strict=True) if not value > _DECISIVE * best]
     return good[0], good[1:]
-
-
-def _residual(vehicle: Vehicle, runs: Sequence[Run], mistake: Mistake) -> float:
-    """What the refitted model leaves beyond the noise, geometric mean over its equations of motion."""
-    at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
-    return np.inf if at is None else float(np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))

@@ -15,12 +15,6 @@ Coefficients = tuple[float, float, float]
 """A, B and C, rad: constant, and the semicircular deviation of hard iron, A + B sin psi + C cos psi."""
 
 
-def deviation_at(psi: Array, coefficients: Coefficients) -> Array:
-    """What has to be added to the heading psi of the compass, rad (Bowditch, coefficients A, B and C)."""
-    a, b, c = coefficients
-    return a + b * np.sin(psi) + c * np.cos(psi)
-
-
 def corrected(
     channels: Mapping[str, Array], coefficients: Coefficients, *, velocities: bool
 ) -> dict[str, Array]:
@@ -30,8 +24,9 @@ def corrected(
     """
     if "psi" not in channels:
         return dict(channels)
-    more = deviation_at(channels["psi"], coefficients)
-    found = {**channels, "psi": channels["psi"] + more}
+    (a, b, c), psi = coefficients, channels["psi"]
+    more = a + b * np.sin(psi) + c * np.cos(psi)  # Bowditch
+    found = {**channels, "psi": psi + more}
     if velocities:
         zero = np.zeros_like(more)
         u, v = channels.get("u", zero), channels.get("v", zero)

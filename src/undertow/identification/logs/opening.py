@@ -393,20 +393,12 @@ def must_have(
     names = list(names)
     if name not in names:
         have = list(names if columns is None else columns)
-        hint = nearest(name, have)
-        more = _delimiter_hint(have)
+        hint, remedy = nearest(name, have), "; name the right one in a mapping file"
+        if len(have) == 1 and (other := next((sign for sign in ";\t|" if sign in have[0]), "")):
+            remedy = f" (one column: set delimiter = {other!r} in a mapping file)"
         raise UndertowError(
-            f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{more}{instead}"
+            f"{where} has no {what} {name!r}{hint}: its columns are {', '.join(have)}{remedy}{instead}"
         )
-
-
-def _delimiter_hint(columns: Sequence[str]) -> str:
-    other = next((sign for sign in ";\t|" if len(columns) == 1 and sign in columns[0]), None)
-    return (
-        f" (one column: set delimiter = {other!r} in a mapping file)"
-        if other
-        else "; name the right one in a mapping file"
-    )
 
 
 # --- saving --------------------------------------------------------------------------------------------

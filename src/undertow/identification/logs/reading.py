@@ -215,14 +215,12 @@ def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
     is_share = 0.0 < largest <= 1.0 if run.reader_notes else largest == 1.0 and not stated
     if not plain or not is_share:
         return run
-    if_newtons = (
-        "" if run.reader_notes else '; if they are in newtons, write unit = "N" into the mapping file'
-    )
     remark = (
         f"commands {', '.join(plain)} lie between -1 and 1, but the vehicle takes them as newtons: give its "
-        "thrusters thrust_per_command = { value = (newtons at 1), estimate = true } or a curve "
-        f'("t200-16v"){if_newtons}'
+        'thrusters thrust_per_command = { value = (newtons at 1), estimate = true } or a curve ("t200-16v")'
     )
+    if not run.reader_notes:
+        remark += '; if they are in newtons, write unit = "N" into the mapping file'
     return replace(run, reader_notes=(*run.reader_notes, remark))
 
 
@@ -433,10 +431,9 @@ def _stated_noise(sources: dict[str, Column], mapping: LogMapping, where: str) -
     found = {}
     for name, column in sources.items():
         if column.noise is not None:
-            unit = UNITS.get(column.channel) or si_unit(column.unit or "1")
-            given = (
-                f"{column.noise} {column.unit or unit}" if isinstance(column.noise, float) else column.noise
-            )
+            unit, given = UNITS.get(column.channel) or si_unit(column.unit or "1"), column.noise
+            if isinstance(given, float):
+                given = f"{given} {column.unit or unit}"
             sigma = magnitude(given, unit, f"{where}: noise of column {name!r}")
             found[turned_name(column.channel, mapping.frames.position)] = sigma
     return found

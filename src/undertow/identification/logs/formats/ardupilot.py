@@ -153,9 +153,8 @@ def _frame(log: FieldLog) -> Frame:
 
 def _turn(table: Table, way: Vector, direction: float | str | None, motor: int) -> None:
     sign = -1.0 if direction == -1.0 else 1.0
-    remark = (
-        f"MOT_{motor}_DIRECTION {sign:g}" if direction is not None else "direction of the motor not logged"
-    )
+    logged = f"MOT_{motor}_DIRECTION {sign:g}"
+    remark = "direction of the motor not logged" if direction is None else logged
     table["direction"] = [sign * axis + 0.0 for axis in way]
     table["source"] = f"{table['source']}; {remark}"
 
@@ -213,13 +212,11 @@ class Frame:
     bundled: bool = False  # whether that vehicle has this frame, and so its positions
 
 
-def _frames() -> dict[int, Frame]:
-    text = (files("undertow.identification.logs.formats") / "ardusub_frames.toml").read_text("utf-8")
-    tables = {int(number): table for number, table in tomllib.loads(text).items()}
-    return {k: Frame(**(t | {"motors": tuple(Factors(*m) for m in t["motors"])})) for k, t in tables.items()}
-
-
-FRAMES = _frames()
+_STATED = (files("undertow.identification.logs.formats") / "ardusub_frames.toml").read_text("utf-8")
+FRAMES = {
+    int(number): Frame(**(table | {"motors": tuple(Factors(*m) for m in table["motors"])}))
+    for number, table in tomllib.loads(_STATED).items()
+}
 """By FRAME_CONFIG."""
 CUSTOM = 7
 """FRAME_CONFIG of a frame whose motors are in the firmware of its builder only."""

@@ -93,9 +93,8 @@ def _sensors(path: Path, messages: Path | None) -> tuple[Array, dict[str, Array]
         done = subprocess.run(command, capture_output=True, text=True, timeout=_SECONDS, check=False)
         if not found.exists():
             said = (done.stderr or done.stdout).strip().split("\n")[-1][:300] or "no reason given"
-            remedy = (
-                "copy it again" if "ache" not in said else "give the folder of its .cac: --messages FOLDER"
-            )
+            folder_needed = "ache" in said  # of "cache"
+            remedy = "give the folder of its .cac: --messages FOLDER" if folder_needed else "copy it again"
             raise UndertowError(f"log {path} cannot be read by dbdreader: {said.rstrip('. ')}: {remedy}")
         with np.load(found) as kept:
             names, units = kept["names"].tolist(), kept["units"].tolist()

@@ -69,13 +69,11 @@ class _Unreadable:
 
     @property
     def notes(self) -> list[str]:
-        found = (
-            [f"{self.broken} messages with a bad checksum or time, or cut off, are left out"]
-            if self.broken
-            else []
-        )
-        kinds = f"{self.unknown} messages of kinds that pymavlink does not know are left out"
-        return [*found, *([kinds] if self.unknown else [])]
+        counts = {
+            "with a bad checksum or time, or cut off,": self.broken,
+            "of kinds that pymavlink does not know": self.unknown,
+        }
+        return [f"{count} messages {which} are left out" for which, count in counts.items() if count]
 
 
 Checksum = Callable[[bytes], int]

@@ -68,11 +68,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     }
     notes = [f"damaged: {line}" for line in output.getvalue().splitlines()[:1]]
     lost = sum(dropout.duration for dropout in log.dropouts) / 1000
-    notes += (
-        [f"the logger dropped data {len(log.dropouts)} times, for {lost:.3g} s in all"]
-        if log.dropouts
-        else []
-    )
+    if log.dropouts:
+        notes.append(f"the logger dropped data {len(log.dropouts)} times, for {lost:.3g} s in all")
     actuators = _actuators(series)
     pieces, cuts = _intervals(series, actuators)
     return FieldLog(
