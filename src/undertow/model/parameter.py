@@ -6,7 +6,7 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 from functools import lru_cache
 from math import inf
-from typing import Any
+from typing import Any, Self
 
 import sympy as sm
 
@@ -116,6 +116,16 @@ class Parameter:
     step_width: bool = False
     within: float = 100.0
     name: str = field(default="", kw_only=True)
+
+    @classmethod
+    def known(cls, unit: str, about: str, bounds: Range, default: float, **more: Any) -> Self:
+        """A shape parameter that cannot switch its effect off, taken as known where no file states it."""
+        return cls(unit, about, bounds, linear=False, default=default, neutral=None, **more)
+
+    @classmethod
+    def sought(cls, unit: str, about: str, bounds: Range, starts: tuple[float, ...], **more: Any) -> Self:
+        """A shape parameter that cannot switch its effect off, with where a search for it begins."""
+        return cls(unit, about, bounds, linear=False, starts=starts, neutral=None, **more)
 
     def __set_name__(self, owner: type, name: str) -> None:
         if not self.name:

@@ -37,58 +37,21 @@ class ControlSurfaces(Wrench):
         within=2 * pi,  # that of a thin wing without ends; beyond it a rudder stands in for the hull's lift
     )
     C_D = PerSurface("1", "drag coefficient at zero angle", (0, inf))
-    wake = PerSurface(
-        "1", "wake fraction of the speed ahead", (-1, 1), linear=False, default=0.0, neutral=None
+    wake = PerSurface.known("1", "wake fraction of the speed ahead", (-1, 1), 0.0)
+    straightening = PerSurface.known(
+        "1", "flow straightening: share of the transverse flow that remains", (0, 2), 1.0
     )
-    straightening = PerSurface(
-        "1",
-        "flow straightening: share of the transverse flow that remains",
-        (0, 2),
-        linear=False,
-        default=1.0,
-        neutral=None,
+    flow_lever = PerSurface.known(
+        "1", "lever of the turning rate in the transverse flow, over the geometric lever", (0, 4), 1.0
     )
-    flow_lever = PerSurface(
-        "1",
-        "lever of the turning rate in the transverse flow, over the geometric lever",
-        (0, 4),
-        linear=False,
-        default=1.0,
-        neutral=None,
+    in_slipstream = PerSurface.known("1", "share of the area in the slipstream", (0, 1), 1.0)
+    slipstream = PerSurface.known(
+        "1", "velocity increase at the surface over that far behind the propeller", (0, 1.5), 0.5
     )
-    in_slipstream = PerSurface(
-        "1", "share of the area in the slipstream", (0, 1), linear=False, default=1.0, neutral=None
-    )
-    slipstream = PerSurface(
-        "1",
-        "velocity increase at the surface over that far behind the propeller",
-        (0, 1.5),
-        linear=False,
-        default=0.5,
-        neutral=None,
-    )
-    a_H = PerSurface(
-        "1",
-        "transverse force on the hull per force of the surface",
-        (0, 2),
-        linear=False,
-        default=0.0,
-        neutral=None,
-    )
-    x_H = PerSurface(
-        "m", "where the force on the hull acts, forward", (-200, 200), linear=False, default=0.0, neutral=None
-    )
-    t_R = PerSurface(
-        "1",
-        "share of the steering drag recovered by the hull",
-        (0, 1),
-        linear=False,
-        default=0.0,
-        neutral=None,
-    )
-    flow_least = Parameter(
-        "m/s", "speed below which the force fades", (1e-9, 1.0), linear=False, default=1e-6, neutral=None
-    )
+    a_H = PerSurface.known("1", "transverse force on the hull per force of the surface", (0, 2), 0.0)
+    x_H = PerSurface.known("m", "where the force on the hull acts, forward", (-200, 200), 0.0)
+    t_R = PerSurface.known("1", "share of the steering drag recovered by the hull", (0, 1), 0.0)
+    flow_least = Parameter.known("m/s", "speed below which the force fades", (1e-9, 1.0), 1e-6)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         total = sm.zeros(6, 1)

@@ -20,17 +20,10 @@ class RadiationMemory(Wrench):
     coefficients = DerivativeMatrix(
         "{F}_mem{m}", ("m", "rad"), DIAGONAL, "{force} per remembered {motion} displacement"
     )
-    T_memory = Parameter(
-        "s", "time constant of the memory", (0.05, 200.0), linear=False, starts=(0.5, 2.0, 8.0), neutral=None
-    )
+    T_memory = Parameter.sought("s", "time constant of the memory", (0.05, 200.0), (0.5, 2.0, 8.0))
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return tuple(f"memory_{v}" for v in VELOCITY)
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        return ("m",) * 3 + ("rad",) * 3
+    states = tuple(f"memory_{v}" for v in VELOCITY)
+    state_units = ("m",) * 3 + ("rad",) * 3
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return self.coefficients * self.state_symbols

@@ -34,21 +34,13 @@ class Slosh(Wrench):
         starts=(0.4, 0.5, 0.63, 0.8, 1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.3),  # a resonance is narrow
         neutral=None,
     )
-    slosh_damping = Parameter(
-        "1", "its damping ratio", (0.01, 0.7), linear=False, starts=(0.1,), neutral=None
-    )
+    slosh_damping = Parameter.sought("1", "its damping ratio", (0.01, 0.7), (0.1,))
+    states = ("slosh_x", "slosh_y", "slosh_u", "slosh_v")
+    state_units = ("m", "m", "m/s", "m/s")
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:
         return bool({"surge", "sway"} & set(dofs))
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("slosh_x", "slosh_y", "slosh_u", "slosh_v")
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        return ("m", "m", "m/s", "m/s")
 
     def wrench(self, s: Signals) -> sm.Matrix:
         place, push = self.state_symbols[:2, :], -self.m_slosh * self._pull()

@@ -27,14 +27,8 @@ class SupplyDroop(Actuation):
         (0, 10),
         with_log="voltage",
     )
-    voltage_nominal = Parameter(
-        "V",
-        "voltage at which thrust is as stated",
-        (0.1, 1e5),
-        linear=False,
-        starts=(12.0, 24.0, 48.0),
-        neutral=None,
-        with_log="voltage",
+    voltage_nominal = Parameter.sought(
+        "V", "voltage at which thrust is as stated", (0.1, 1e5), (12.0, 24.0, 48.0), with_log="voltage"
     )
 
     def output(self, upstream: sm.Matrix, s: Signals) -> sm.Matrix:

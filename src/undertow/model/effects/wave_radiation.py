@@ -19,7 +19,7 @@ def _time(motion: str) -> Parameter:
 
 
 def _of_kernel(unit: str, meaning: str) -> Parameter:
-    return Parameter(unit, meaning, (1e-3, 200.0), linear=False, default=1.0, neutral=None)
+    return Parameter.known(unit, meaning, (1e-3, 200.0), 1.0)
 
 
 class WaveRadiation(Wrench):
@@ -48,13 +48,8 @@ class WaveRadiation(Wrench):
     T_rad_u, T_rad_v, T_rad_w = _time("surge"), _time("sway"), _time("heave")
     T_rad_p, T_rad_q, T_rad_r = _time("roll"), _time("pitch"), _time("yaw")
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return (*(f"radiated_{v}" for v in VELOCITY), *(f"returned_{v}" for v in VELOCITY))
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        return (("m",) * 3 + ("rad",) * 3) * 2
+    states = (*(f"radiated_{v}" for v in VELOCITY), *(f"returned_{v}" for v in VELOCITY))
+    state_units = (("m",) * 3 + ("rad",) * 3) * 2
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return self.coefficients * self.state_symbols[:6, :]

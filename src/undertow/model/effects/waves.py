@@ -33,22 +33,11 @@ class Waves(Flow, Wrench):
     wave_sin = Parameter(
         "m", "elevation a quarter period before", (-20, 20), linear=False, starts=(0.0,), per_run=True
     )
-    wave_frequency = Parameter(
-        "rad/s",
-        "angular frequency",
-        (0.05, 15.0),
-        linear=False,
-        starts=tuple(round(0.66 + 0.075 * i, 3) for i in range(15)),
-        neutral=None,
+    wave_frequency = Parameter.sought(
+        "rad/s", "angular frequency", (0.05, 15.0), tuple(round(0.66 + 0.075 * i, 3) for i in range(15))
     )
-    wave_direction = Parameter(
-        "rad",
-        "where it travels, from north to east",
-        (-7, 7),
-        linear=False,
-        starts=(-2.36, -0.79, 0.79, 2.36),
-        neutral=None,
-        per_run=True,
+    wave_direction = Parameter.sought(
+        "rad", "where it travels, from north to east", (-7, 7), (-2.36, -0.79, 0.79, 2.36), per_run=True
     )
 
     @classmethod

@@ -37,23 +37,19 @@ class Wind(Wrench):
     moment_wind = Parameter(
         "m^3", "yaw moment coefficient (of the sine of twice the angle) times lateral area and length"
     )
-    wind_from = Parameter(
+    wind_from = Parameter.sought(
         "rad",
         "wind direction (where it comes from), from north clockwise",
         (-7, 7),
-        linear=False,
-        starts=(0.0, 1.6, 3.1, -1.6),
-        neutral=None,
+        (0.0, 1.6, 3.1, -1.6),
         logged=True,
         without_log="apparent_wind_speed",
     )
-    wind_speed = Parameter(
+    wind_speed = Parameter.known(
         "m/s",
         "speed of the wind over ground",
         (0, 100),
-        linear=False,
-        default=_SPEED,
-        neutral=None,
+        _SPEED,
         logged=True,
         without_log="apparent_wind_speed",
     )
@@ -61,24 +57,12 @@ class Wind(Wrench):
     apparent_wind_angle = LoggedOnly(
         "rad", "apparent wind direction, from the bow to starboard", with_log="apparent_wind_speed"
     )
-    air_density = Parameter(
-        "kg/m^3", "density of the air", (0.5, 2), linear=False, default=_DENSITY, neutral=None
+    air_density = Parameter.known("kg/m^3", "density of the air", (0.5, 2), _DENSITY)
+    wind_least = Parameter.known(
+        "m/s", "speed below which the force fades", (1e-9, 1.0), 1e-3, with_log="wind_speed"
     )
-    wind_least = Parameter(
-        "m/s",
-        "speed below which the force fades",
-        (1e-9, 1.0),
-        linear=False,
-        default=1e-3,
-        neutral=None,
-        with_log="wind_speed",
-    )
-    x_wind = Parameter(
-        "m", "where it acts, forward", (-200, 200), linear=False, starts=(0,), neutral=None, arm_of="1"
-    )
-    z_wind = Parameter(
-        "m", "where it acts, down", (-100, 10), linear=False, starts=(0,), neutral=None, arm_of="1"
-    )
+    x_wind = Parameter.sought("m", "where it acts, forward", (-200, 200), (0,), arm_of="1")
+    z_wind = Parameter.sought("m", "where it acts, down", (-100, 10), (0,), arm_of="1")
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:
