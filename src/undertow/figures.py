@@ -96,10 +96,8 @@ def plain(text: str, longest: int = _LONGEST) -> str:
 
 
 def in_powers(largest: float, unit: str) -> tuple[float, str]:
-    """What values are divided by, and their unit then, so that ticks have few digits: N or 1e6 N.
-
-    Matplotlib would write the power at the end of the axis, across its label.
-    """
+    """What values are divided by, and their unit then, so that ticks have few digits: N or 1e6 N."""
+    # Matplotlib would write the power at the end of the axis, across its label.
     if not 0.0 < largest < inf or 1e-2 <= largest < 1e4:
         return 1.0, unit
     power = 3 * floor(log10(largest) / 3)

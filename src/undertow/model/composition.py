@@ -133,10 +133,8 @@ class Composition:
     # --- what is frozen, and what depends on what ---------------------------------------------
     @cached_property
     def locked(self) -> dict[sm.Symbol, sm.Expr]:
-        """Zero for motions that the vehicle does not have and forces that the log does not contain.
-
-        A motion that is left out of the model may be prescribed: the log holds it as an input.
-        """
+        """Zero for motions that the vehicle does not have and forces that the log does not contain."""
+        # A motion that is left out of the model may be prescribed: the log holds it as an input.
         s = self.signals
         motions = [m[i] for m in (s.eta, s.nu, s.nu_dot) for i in range(6) if i not in self.dofs]
         motions = [x for x in motions if x.name not in self.inputs]
@@ -162,11 +160,9 @@ class Composition:
         return self.relative_to(*self.water)
 
     def relative_to(self, water: sm.Matrix, rate: sm.Matrix) -> dict[sm.Symbol, sm.Expr]:
-        """Velocity through water that moves like this (shapes (3, 1), body axes), and its rate.
-
-        A motion that the vehicle does not have is zero through the water as well: otherwise a beam current
-        would act on a rolling ship without heave differently from its own sway.
-        """
+        """Velocity through water that moves like this (shapes (3, 1), body axes), and its rate."""
+        # A motion that the vehicle does not have is zero through the water as well: otherwise a beam current
+        # would act on a rolling ship without heave differently from its own sway.
         s = self.signals
         omega = sm.Matrix(s.nu[3:])
         velocity = sm.Matrix(s.nu[:3]) - water
@@ -402,16 +398,12 @@ def statement_of(effect: Effect, known: Catalogue) -> Statement:
     except Exception as error:  # whatever the author's code raises is the author's to mend
         raise UndertowError(f"the physics cannot be stated: {type(error).__name__}: {error}") from error
     for part in parts:
-        _require_column(part)
+        matrix, rows = part.matrix, len(part.units)
+        if not isinstance(matrix, sm.MatrixBase):
+            raise UndertowError(f"{part.name}() returns {type(matrix).__name__}: return a sympy.Matrix")
+        if matrix.shape != (rows, 1):
+            raise UndertowError(f"{part.name}() has the shape {matrix.shape}: return a column of {rows} rows")
     return Statement(effect, signal_set, parts, shared)
-
-
-def _require_column(part: Part) -> None:
-    shape = getattr(part.matrix, "shape", None)
-    if not isinstance(part.matrix, sm.MatrixBase):
-        raise UndertowError(f"{part.name}() returns {type(part.matrix).__name__}: return a sympy.Matrix")
-    if shape != (len(part.units), 1):
-        raise UndertowError(f"{part.name}() has the shape {shape}: return a column of {len(part.units)} rows")
 
 
 def commands_of(effect: Effect) -> sm.Matrix:

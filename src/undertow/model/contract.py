@@ -235,10 +235,8 @@ def compiled(expressions: Sequence[sm.Expr]) -> Values:
 
 
 def nonzero_row(matrix: sm.Matrix, statement: Statement) -> int | None:
-    """Index of the first row that is not identically zero, or None.
-
-    Expansion proves most identities; the rest is tested at random points.
-    """
+    """Index of the first row that is not identically zero, or None."""
+    # Expansion proves most identities; the rest is tested at random points.
     for i, row in enumerate(matrix):
         expanded = sm.expand(row)
         if expanded != 0 and not _vanishes(expanded, statement):
@@ -257,11 +255,9 @@ def _vanishes(expression: sm.Expr, statement: Statement) -> bool:
 
 
 def nonlinear_row(values: Values, along: Sequence[sm.Symbol], statement: Statement) -> int | None:
-    """Index of the first of `compiled` rows not affine in the symbols `along` taken together, or None.
-
-    Affine means that the value half-way between any two points is the mean of the values there, so
-    that a kink (dead band, dry friction) counts as not affine although its second derivative is zero.
-    """
+    """Index of the first of `compiled` rows not affine in the symbols `along` taken together, or None."""
+    # Affine means that the value half-way between any two points is the mean of the values there, so that a
+    # kink (dead band, dry friction) counts as not affine although its second derivative is zero.
     probe = RandomPoints(statement)
     for _ in range(_TRIALS.linearity):
         start = probe.point()
@@ -308,8 +304,10 @@ def units_fit(s: Statement) -> Iterator[str]:
 # --- what is left when the parameters say that the effect is absent -----------------------------
 def absent_at_neutral(s: Statement) -> Iterator[str]:
     """With its parameters at their neutral values the effect changes nothing."""
-    neutral = _neutral_values(s)
-    resting = dict(zip(s.effect.state_symbols, _rest_states(s), strict=True))
+    neutral, states = _neutral_values(s), s.effect.state_symbols
+    # A step of the actuation chain may be slow; its response to a constant command counts.
+    rest = s.part("rest_state") if "actuation" in s.kinds else states
+    resting = dict(zip(states, rest, strict=True))
     for part in s.parts:
         if part.absent is None:
             continue
@@ -344,11 +342,6 @@ def _settings(values: dict[sm.Symbol, sm.Expr]) -> str:
         return "although no parameter can switch the effect off"
     more = f" and {len(listed) - 3} more are neutral" if len(listed) > 3 else ""
     return f"where {', '.join(listed[:3])}{more}"
-
-
-def _rest_states(s: Statement) -> Sequence[sm.Expr]:
-    """A step of the actuation chain may be slow; its response to a constant command counts."""
-    return s.part("rest_state") if "actuation" in s.kinds else s.effect.state_symbols
 
 
 def rests_at_rest(s: Statement) -> Iterator[str]:
@@ -445,11 +438,9 @@ def inertia_symmetric(s: Statement) -> Iterator[str]:
 
 
 def inertia_positive(s: Statement) -> Iterator[str]:
-    """M is positive semidefinite for parameters within bounds; pure couplings are left at zero.
-
-    Couplings (products of inertia, static moments) have no bounds of their own: how large they may be depends
-    on the diagonal. Loading a vehicle checks the whole matrix at its values.
-    """
+    """M is positive semidefinite for parameters within bounds; pure couplings are left at zero."""
+    # Couplings (products of inertia, static moments) have no bounds of their own: how large they may be
+    # depends on the diagonal. Loading a vehicle checks the whole matrix at its values.
     inertia = inertia_of(s)
     diagonal = inertia.diagonal().free_symbols
     couplings = {x: sm.Integer(0) for x in s.parameters if x not in diagonal}

@@ -49,11 +49,9 @@ class _Names:
 
 
 def with_names(vehicle: Vehicle) -> tuple[Vehicle, tuple[HardwareNumber, ...]]:
-    """The vehicle with a symbol in the place of every number of its hardware, and what they stand for.
-
-    Its equations are derived from the same effects as those of the vehicle itself, into which numbers are put
-    first, so that zeros and ones vanish. Thrusters with the same curve have its symbols in common.
-    """
+    """The vehicle with a symbol in the place of every number of its hardware, and what they stand for."""
+    # Its equations are derived from the same effects as those of the vehicle itself, into which numbers are
+    # put first, so that zeros and ones vanish. Thrusters with the same curve have its symbols in common.
     states = (name for effect in vehicle.all_effects for name in effect.states)
     names = _Names(
         {*vehicle.declared_parameters, *vehicle.sides, *vehicle.inputs, *vehicle.environment, *states}

@@ -267,8 +267,13 @@ def _vehicle_and_remarks(
     names = tuple(t.name for t in thrusters)
     surfaces = tuple(surface_of(t, names) for t in table.surfaces)
     inputs = _inputs(table.inputs, table.degrees_of_freedom, known, logged)
-    classes = [_effect_class(effect_id, known) for effect_id in table.effects]
-    effects = tuple(cls(names, surfaces, tuple(inputs)) for cls in classes)
+    found = []
+    for effect_id in table.effects:
+        found.append(lookup(effect_id, known)(names, surfaces, tuple(inputs)))
+        if found[-1].built_in:
+            where = "[[thrusters]], [[surfaces]] or generalised_forces"
+            raise UndertowError(f"[effects.{effect_id}] comes with {where}: remove it")
+    effects = tuple(found)
     environment = {
         "rho": si_of("water_density", table.water_density, "kg/m^3"),
         "g": si_of("gravity", table.gravity, "m/s^2"),
@@ -353,15 +358,6 @@ def _fitted_to(history: Sequence[Mapping[str, Any]], vehicle: Vehicle) -> dict[s
             found |= dict.fromkeys(map(str, names), frozenset(str(log.get("sha256", "")) for log in read))
     known = {n for n in found if vehicle.parameter_of(n) is not None}
     return {n: found[n] for n in known if vehicle.value_of(n).source.startswith("fit to ")}
-
-
-def _effect_class(effect_id: str, known: Catalogue) -> type[Effect]:
-    cls = lookup(effect_id, known)
-    if cls.built_in:
-        raise UndertowError(
-            f"[effects.{effect_id}] comes with [[thrusters]], [[surfaces]] or generalised_forces: remove it"
-        )
-    return cls
 
 
 def _effect_values(

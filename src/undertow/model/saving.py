@@ -436,16 +436,11 @@ def _write_effect(
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
 
 
-def _sigmas(values: Mapping[str, Value]) -> dict[str, float]:
-    """Meaningful standard deviations: exact data give zero, no data infinite ones."""
-    found = {key: v.sigma for key, v in values.items() if v.sigma is not None}
-    return {key: sigma for key, sigma in found.items() if 0 < sigma < inf}
-
-
 def _entry_of(parameter: Parameter, values: Mapping[str, Value], signs: str) -> Entry:
+    sigmas = {key: v.sigma for key, v in values.items() if v.sigma is not None}
     return Entry(
         numbers={key: printed(parameter, v.value, signs) for key, v in values.items()},
-        sigmas=_sigmas(values),
+        sigmas={key: s for key, s in sigmas.items() if 0 < s < inf},  # exact data give zero, no data inf
         unit=parameter.unit,
         estimate=any(v.estimate for v in values.values()),
         assumed=any(v.assumed for v in values.values()),

@@ -372,11 +372,9 @@ def _latency_note(delay: float, error: float, *, acausal: bool, shifted: bool) -
 
 
 def causal(vehicle: Vehicle, runs: Sequence[Run], found: Sequence[Latency]) -> list[Latency]:
-    """Latencies with which no motion precedes its commands, as far as the commands show.
-
-    Pose rates and velocities show how far sources are apart, not which of them is wrong: if corrected
-    velocities clearly precede the commands, and those of the log do not, the rest is early.
-    """
+    """Latencies with which no motion precedes its commands, as far as the commands show."""
+    # Pose rates and velocities show how far sources are apart, not which of them is wrong: if corrected
+    # velocities clearly precede the commands, and those of the log do not, the rest is early.
     step = runs[0].step
     late = [one for one in found if one.clear(step)]
     turned = [one for one in late if {*one.names} & {*VELOCITY}]

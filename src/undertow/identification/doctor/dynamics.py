@@ -451,10 +451,8 @@ def wiring_mistakes(
 def consistent_with_kinematics(
     kinematics: Kinematics, runs: Sequence[Run], at: Dynamics, known: Sequence[Mistake]
 ) -> list[Mistake]:
-    """Mistakes that pose rates and velocities do not contradict and that matter to the model.
-
-    None where pose rates and velocities disagree in what moves: such a log is no evidence about the model.
-    """
+    """Mistakes that pose rates and velocities do not contradict and that matter to the model."""
+    # None where pose rates and velocities disagree in what moves: such a log is no evidence about the model.
     result: list[Mistake] = []
     given = kinematics.mismatch(runs) if kinematics else None
     if given is not None and np.any(inconsistent(given) & given.moves):
@@ -500,11 +498,9 @@ _TRANSLATION = ("X_udot", "Y_vdot", "Z_wdot")
 
 
 def other_mass(at: Dynamics) -> Finding | None:
-    """A stated mass that contradicts the logs; None if it does not, or they are not decisive.
-
-    With free added masses without stated spread nothing can be concluded: they compensate for any mass. Nor
-    if another value of a fixed added mass explains as much.
-    """
+    """A stated mass that contradicts the logs; None if it does not, or they are not decisive."""
+    # With free added masses without stated spread nothing can be concluded: they compensate for any mass. Nor
+    # if another value of a fixed added mass explains as much.
     known = at.vehicle.values.get("m")
     if known is None or known.estimate or "m" not in at.vehicle.parameter_names:
         return None
@@ -566,10 +562,8 @@ def _standardised(fit: WeakFit) -> dict[str, float]:
 
 
 def without_refuted(examined: Examination) -> Examination:
-    """The findings without mistakes that explain less than the unchanged model, if that leaves only noise.
-
-    Mistakes found through the fit of a model are believed only for want of a better explanation.
-    """
+    """The findings without mistakes that explain less than the unchanged model, if that leaves only noise."""
+    # Mistakes found through the fit of a model are believed only for want of a better explanation.
     kept = []
     for finding in examined.findings:
         left = [number for name, number in finding.evidence.items() if name.endswith(_UNDONE)]

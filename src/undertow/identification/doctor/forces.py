@@ -236,17 +236,16 @@ class Responses:
         table = self._forces.table(runs, PLAUSIBLE.samples)
         if table is None:
             return []
-        rows = range(len(self.vehicle.dof_indices))
-        return [r for row in rows if self._inertia_is_known(row) for r in self._row(table, row)]
-
-    def _inertia_is_known(self, row: int) -> bool:
-        """Whether the vehicle file states the inertia: a value to be estimated is no evidence."""
-        name = _INERTIA[self.vehicle.dof_indices[row]]
-        return name in self.vehicle.values and not self.vehicle.values[name].estimate
+        # An inertia that is to be estimated is no evidence.
+        stated = {name for name, value in self.vehicle.values.items() if not value.estimate}
+        known = [row for row, dof in enumerate(self.vehicle.dof_indices) if _INERTIA[dof] in stated]
+        return [r for row in known for r in self._row(table, row)]
 
     def _row(self, table: ForceTable, row: int) -> Iterator[Response]:
         given = table.commanded[:, row]
-        acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and not self._gain_is_estimated(k)]
+        # Where thrust per command is to be estimated, any unit of the command will do.
+        free = {k for k, t in enumerate(self.vehicle.thrusters) if t.thrust_per_command.estimate}
+        acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and k not in free]
         rest = np.delete(given, acting, axis=1)
         others = np.column_stack([table.others, rest[:, np.any(rest != 0, axis=0)]])
         if len(table.force) < 2 * (others.shape[1] + len(acting)):
@@ -255,11 +254,6 @@ class Responses:
         if len(acting) != 1:
             yield from self._responses(table, row, others, [("", given[:, acting].sum(axis=1))])
         yield from self._responses(table, row, others, [(name, given[:, k]) for name, k in names])
-
-    def _gain_is_estimated(self, command: int) -> bool:
-        """Whether thrust per command is to be estimated: then any unit of the command will do."""
-        thrusters = self.vehicle.thrusters
-        return command < len(thrusters) and thrusters[command].thrust_per_command.estimate
 
     def _responses(
         self, table: ForceTable, row: int, others: Array, commands: list[tuple[str, Array]]

@@ -200,11 +200,9 @@ UNITS_OF_MOTION = frozenset({"length_unit", "speed_unit", "motion_unit"})
 
 # --- time ---------------------------------------------------------------------------------------
 def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping) -> Mistake | None:
-    """The unit of the time column in which pose rates and velocities have the same size.
-
-    Where only positions, or only angles, can be compared with velocities, a unit of those explains the same:
-    a usual step that is far too short or too long is then evidence for the time.
-    """
+    """The unit of the time column in which pose rates and velocities have the same size."""
+    # Where only positions, or only angles, can be compared with velocities, a unit of those explains the
+    # same: a usual step that is far too short or too long is then evidence for the time.
     if not kinematics or any(run.derived for run in runs):
         return None
     ratio = _pose_rate_over_velocity(kinematics, runs)

@@ -183,7 +183,10 @@ def _bursts(step: Array, usual: float) -> list[Finding]:
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     gaps, few = step[step > SETTINGS.gap * usual], step[(step > 1.5 * usual) & (step <= SETTINGS.gap * usual)]
-    few = few if _are_whole(few / usual) else few[:0]
+    # Of an even clock with rows left out, steps are a whole number of usual ones.
+    off = np.abs(few / usual - np.round(few / usual))
+    even = len(few) and np.mean(off < SETTINGS.whole_tolerance) > SETTINGS.whole_share
+    few = few if even else few[:0]
     lost = float(sum(np.sum(np.round(long / usual) - 1.0) for long in (gaps, few)))
     share = lost / (lost + len(run.clock))
     if not len(gaps) and share < SETTINGS.missing:
@@ -197,12 +200,6 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
         f"({len(few)} short spells, {len(gaps)} gaps{longest}); nothing is interpolated",
         evidence={"share": share, "gaps": float(len(gaps)), "longest": float(step.max())},
     )
-
-
-def _are_whole(ratios: Array) -> bool:
-    """Whether steps, in usual ones, are those of an even clock with rows left out."""
-    off = np.abs(ratios - np.round(ratios))
-    return bool(len(ratios)) and float(np.mean(off < SETTINGS.whole_tolerance)) > SETTINGS.whole_share
 
 
 def _dense(usual: float, mapping: LogMapping) -> Iterator[Finding]:
@@ -357,12 +354,11 @@ def _rows_per_sample(run: Run, name: str) -> float | None:
 
 # --- filtered before they were logged -----------------------------------------------------------
 def was_filtered(runs: Sequence[Run], names: Sequence[str]) -> dict[str, float]:
-    """Channels that were filtered before they were logged (or computed), with their apparent cut-off, Hz.
-
-    Differences of increasing order probe ever higher frequencies. For white noise they agree; for a filtered
-    record each finds less than the one before, down to less than any sensor has. Channels that were derived
-    from others, that a mapping file states the noise of, or that repeat their values are not looked at.
-    """
+    """Channels that were filtered before they were logged (or computed), with their apparent cut-off, Hz."""
+    # Differences of increasing order probe ever higher frequencies. For white noise they agree; for a
+    # filtered record each finds less than the one before, down to less than any sensor has. Channels that
+    # were derived from others, that a mapping file states the noise of, or that repeat their values are not
+    # looked at.
     found = {}
     for name in names:
         own = [r for r in runs if r.has(name) and name not in r.derived and name not in r.sigma]
@@ -525,8 +521,9 @@ def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
         yield "added mass (the velocity hardly changes)"
     if min(np.mean(moving > 0), np.mean(moving < 0)) < SETTINGS.one_way:
         yield "drag in the other direction"
-    speed = np.abs(moving)
-    if _laws_indistinct(speed):
+    speed, square = np.abs(moving), moving**2
+    left = square - speed * (speed @ square) / (speed @ speed)  # by a straight line through zero
+    if left @ left < (1 - SETTINGS.indistinct_laws) * (square @ square):
         yield "linear and quadratic drag separately (one speed only)"
     if (period := motion.single_period) is not None:
         # A sine has two numbers, its size and its phase, to be explained.
@@ -535,13 +532,6 @@ def _cannot(motion: _Motion, step: float, driven: bool) -> Iterator[str]:
         yield f"more than two of inertia, damping and stiffness{wave} {only}"
     if motion.reversals < SETTINGS.reversals:
         yield "dead band and dry friction (hardly any reversals)"
-
-
-def _laws_indistinct(speed: Array) -> bool:
-    """Whether a straight line through zero explains the square of the speed."""
-    square = speed**2
-    left = square - speed * (speed @ square) / (speed @ speed)
-    return bool(left @ left < (1 - SETTINGS.indistinct_laws) * (square @ square))
 
 
 def excitation_findings(

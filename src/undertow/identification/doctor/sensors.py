@@ -275,10 +275,8 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
 
 
 def contradicts(found: Explained, chosen: Mistake) -> bool:
-    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them.
-
-    It has to explain them wherever it has an influence: the remainder is due to a sensor, and perhaps more.
-    """
+    """Whether pose rates and velocities are too far apart for any sensor where a mistake explains them."""
+    # It has to explain them wherever it has an influence: the remainder is due to a sensor, and perhaps more.
     before, after = found.before, found.after
     changed = np.abs(after.share - before.share) > SETTINGS.least_mismatch
     if np.any(inconsistent(before) & changed & ~_vanishes(before, after)):
@@ -305,10 +303,8 @@ def _vanishes(before: Mismatch, after: Mismatch) -> np.ndarray:
 def best_explanation(
     kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mistake], vehicle: Vehicle
 ) -> Explained | None:
-    """The mistake that explains most of a mismatch; None where there is none, or nothing explains it.
-
-    Single mistakes are tried first; pairs only where none helps and the mismatch is gross.
-    """
+    """The mistake that explains most of a mismatch; None where there is none, or nothing explains it."""
+    # Single mistakes are tried first; pairs only where none helps and the mismatch is gross.
     before = kinematics.mismatch(runs)
     if not np.any(inconsistent(before)):
         return None
@@ -571,8 +567,14 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     kinds = ((VELOCITY[:3], POSE[:3]), (VELOCITY[3:], POSE[3:]))
     seen = [v for v, pose in kinds if {*pose} & {*kinematics.rows}]
     names = [n for group in seen for n in group if n in kinematics.channels]
-    fit = fit_sensor(kinematics, runs, kinematics.rates(runs), _scale_and_offset(names))
-    size = len(names)
+    size, places = len(names), [VELOCITY.index(n) for n in names]
+
+    def columns(at: Samples, _: object) -> Array:
+        j = at.jacobian[:, :, places]
+        return np.concatenate([j * at.velocity[:, None, places], j], axis=2)
+
+    labels = tuple(f"{kind}_{n}" for kind in ("scale", "offset") for n in names)
+    fit = fit_sensor(kinematics, runs, kinematics.rates(runs), Sensor("agreement", labels, columns))
     scale, offset = 1.0 + fit.value[:size], fit.value[size:]
     lines = [
         f"{n} {s:.3f} ± {e:.1g}, offset {o:+.2g} {UNITS[n]}"
@@ -585,15 +587,5 @@ def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
             id="agreement",
             severity="note",
             text=f"pose rate over velocity: {'; '.join(lines)}",
-            evidence=dict(zip(fit.sensor.names, values, strict=True)),
+            evidence=dict(zip(labels, values, strict=True)),
         )
-
-
-def _scale_and_offset(names: list[str]) -> Sensor:
-    places = [VELOCITY.index(n) for n in names]
-
-    def columns(at: Samples, _: object) -> Array:
-        j = at.jacobian[:, :, places]
-        return np.concatenate([j * at.velocity[:, None, places], j], axis=2)
-
-    return Sensor("agreement", tuple(f"{kind}_{n}" for kind in ("scale", "offset") for n in names), columns)

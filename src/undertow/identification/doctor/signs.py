@@ -296,10 +296,8 @@ def suspected(signs: Signs, known: Callable[[], list[Mistake]]) -> Explanation |
 
 # --- squares ----------------------------------------------------------------------------------
 def lost_signs(at: Dynamics) -> Iterator[Finding]:
-    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern.
-
-    They are reported where |u| u in its place explains the logs decisively.
-    """
+    """Effects with the square of a velocity in the force along it: drag that pushes when moving astern."""
+    # They are reported where |u| u in its place explains the logs decisively.
     vehicle = at.vehicle
     for effect in vehicle.effects:
         if not isinstance(effect, Wrench) or not (squares := _unsigned_squares(effect, vehicle)):

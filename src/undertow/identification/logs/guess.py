@@ -120,7 +120,12 @@ def guess_table(
     axes = axes_of(known | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
-    read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
+    if vehicle is not None:
+        # Channels that it has, and those without which axes cannot be turned.
+        turning = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
+        both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
+        own = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turning, *both}
+        read = [g for g in read if g.channel in own]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
         _command(command, name, data[name.column], units, axes_of_commands)
@@ -236,13 +241,6 @@ def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], di
     globe = moved or latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
     return globe if place else (), place
-
-
-def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
-    """Channels of pose and velocity that a vehicle has, and those without which axes cannot be turned."""
-    turned = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
-    both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
-    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turned, *both}
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:

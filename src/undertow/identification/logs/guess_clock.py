@@ -123,11 +123,9 @@ def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, 
 
 
 def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[Guess, Array]:
-    """The clock, and times in s, in the unit in which the change of position agrees with the speed.
-
-    Minutes, hours and days are tried where no name states a unit: one in which position and speed (m, m/s)
-    agree, or in which the speed of the vehicle is possible where none was logged.
-    """
+    """The clock, and times in s, in the unit in which the change of position agrees with the speed."""
+    # Minutes, hours and days are tried where no name states a unit: one in which position and speed (m, m/s)
+    # agree, or in which the speed of the vehicle is possible where none was logged.
     unit = str(time.entry.get("unit", "iso"))
     if unit == "iso" or unit_of_clock(time.column):
         return time, t

@@ -370,10 +370,8 @@ def known_unit(text: str) -> str:
 
 
 def with_axes(names: Sequence[Name]) -> list[Name]:
-    """The names, with x, y, z for the numbers of three of a place, a turn or a speed that differ in these.
-
-    A last letter n or v is a direction, and not a unit, beside a name that has e or u there.
-    """
+    """The names, with x, y, z for the numbers of three of a place, a turn or a speed that differ in these."""
+    # A last letter n or v is a direction, and not a unit, beside a name that has e or u there.
     there = {name.words for name in names}
     names = [_lettered(name, there) for name in names]
     rows: dict[tuple[str, ...], dict[int, Name]] = {}
@@ -401,10 +399,8 @@ def _lettered(name: Name, there: Container[tuple[str, ...]]) -> Name:
 
 
 def with_sides(names: Sequence[Name]) -> list[Name]:
-    """The names, with left and right for the l and r of two that differ in these.
-
-    u is the input of a control loop then: a vehicle has one speed ahead, and not one for each side.
-    """
+    """The names, with left and right for the l and r of two that differ in these."""
+    # u is the input of a control loop then: a vehicle has one speed ahead, and not one for each side.
     there = {name.words for name in names}
     return [_sided(name, there) for name in names]
 
@@ -431,10 +427,8 @@ def rows_by_number(names: Iterable[str]) -> list[list[str]]:
 
 
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
-    """The first columns that are called latitude and longitude; () where one of them is missing.
-
-    Those of a place that is given, as of an origin, are not where the vehicle is.
-    """
+    """The first columns that are called latitude and longitude; () where one of them is missing."""
+    # Those of a place that is given, as of an origin, are not where the vehicle is.
     known = [(column, {*Name.of(column).words}) for column in columns]
     known = [(column, words) for column, words in known if not words & {"origin", "home", *WANTED}]
     found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
@@ -442,10 +436,8 @@ def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def position_axes(mapping: LogMapping) -> str:
-    """ "NED" or "ENU" where the names of its columns say it of the position in a log; "" where they do not.
-
-    They do if both names have the word, or if one has that for north and the other that for east.
-    """
+    """ "NED" or "ENU" where the names of its columns say it of the position in a log, else ""."""
+    # They do if both names have the word, or if one has that for north and the other that for east.
     x, y = (_words_in_columns(mapping, channel) for channel in "xy")
     for axes in ("NED", "ENU"):
         if axes.lower() in x & y:

@@ -207,10 +207,8 @@ def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
 
 
 def check_fit(runs: Sequence[Run], validation: Sequence[Run], vehicle: Vehicle) -> None:
-    """Refuse logs that cannot be fitted: given twice, too long, with a velocity that never changes.
-
-    A fit to such a velocity would make the vehicle heavy or its motion stiff.
-    """
+    """Refuse logs that cannot be fitted: given twice, too long, with a velocity that never changes."""
+    # A fit to such a velocity would make the vehicle heavy or its motion stiff.
     total = 0
     for run in (*runs, *validation):
         total += len(run.t)
@@ -289,16 +287,11 @@ def opened_field_log(
     if mapping is None:
         _refuse_unmatched_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
-    table = log.table(columns_read(_without_absent_columns(log, meaning, commands)), (low, high))
+    required = meaning.required(commands)
+    there = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
+    table = log.table(columns_read(meaning.model_copy(update={"columns": there})), (low, high))
     notes = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
     return Opened(table, meaning, log.sha256, notes)
-
-
-def _without_absent_columns(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> LogMapping:
-    """The mapping without optional columns that a log does not have."""
-    required = meaning.required(commands)
-    kept = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
-    return meaning.model_copy(update={"columns": kept})
 
 
 def opened_table(path: Path, mapping: LogMapping | None, limits: LogLimits = WHOLE) -> Opened:

@@ -418,6 +418,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     run = with_reports(run, pose)
     found = {name: rates[VELOCITY.index(name)] for name in lacking}
     sigma = {name: float(np.nanmedian(spread[VELOCITY.index(name)])) for name in lacking}
+    accuracy = ", ".join(f"{name} +- {value:.2g} {UNITS[name]}" for name, value in sigma.items())
     return replace(
         run,
         channels={**run.channels, **found},
@@ -425,7 +426,10 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         derived=run.derived | set(lacking),
         outliers={name: int(one.outlier.sum()) for name, one in tracks.items()},
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
-    ).with_notes(_summary(tracks, sigma), *(_note(run, name, one) for name, one in tracks.items()))
+    ).with_notes(
+        f"velocities from pose {', '.join(tracks)} by a Kalman smoother: {accuracy} (median)",
+        *(_note(run, name, one) for name, one in tracks.items()),
+    )
 
 
 def _needed_pose(run: Run, wanted: list[str], lacking: list[str]) -> list[str]:
@@ -494,11 +498,6 @@ def _to_body(phi: Array, theta: Array, psi: Array) -> tuple[Array, Array]:
     one, zero = np.ones_like(phi), np.zeros_like(phi)
     euler = np.array([[one, zero, -st], [zero, cf, ct * sf], [zero, -sf, ct * cf]])
     return to_body(phi, theta, psi), euler
-
-
-def _summary(tracks: dict[str, Track], sigma: dict[str, float]) -> str:
-    accuracy = ", ".join(f"{name} +- {value:.2g} {UNITS[name]}" for name, value in sigma.items())
-    return f"velocities from pose {', '.join(tracks)} by a Kalman smoother: {accuracy} (median)"
 
 
 def _note(run: Run, name: str, one: Track) -> str:

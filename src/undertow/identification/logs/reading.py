@@ -279,18 +279,12 @@ def run_of_table(
     run = replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
     slow = {turned_name(c.channel, frames.position) for c in sources.values() if c.fresh is not None}
     run = with_report_noise(run, slow, part=before is not None)
-    run = replace(run, held=_held(run, mapping.held))
+    columns = zip(DOFS, POSE, VELOCITY, strict=True)
+    unlogged = tuple(motion for motion, *names in columns if not any(map(run.has, names)))
+    run = replace(run, held=unlogged if mapping.held == "unlogged" else mapping.held)
     if common.several or policy == "hold":
         run = _between_commands(run, [*commands, *FORCES], policy, before)
     return _checked(run, [*commands, *FORCES], policy, where, before)
-
-
-def _held(run: Run, stated: Held) -> tuple[str, ...]:
-    """Motions that a rig holds or moves, of those stated or of all that have no column."""
-    if stated != "unlogged":
-        return stated
-    columns = zip(DOFS, POSE, VELOCITY, strict=True)
-    return tuple(motion for motion, *names in columns if not any(map(run.has, names)))
 
 
 def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], where: str) -> dict[str, Column]:
@@ -557,12 +551,10 @@ def _checked(
 
 # --- decimation that keeps the reports of slow sensors --------------------------------------------
 def decimated(tables: Iterable[pl.DataFrame], every: int) -> Iterator[pl.DataFrame]:
-    """Every n-th row of consecutive tables, n = `every`.
-
-    In a table of sensors with clocks of their own, rare reports would be lost with the other rows, and a
-    command would be held beyond its next one. So another row is kept if it has a report of a column of which
-    none was kept for n rows.
-    """
+    """Every n-th row of consecutive tables, n = `every`."""
+    # In a table of sensors with clocks of their own, rare reports would be lost with the other rows, and a
+    # command would be held beyond its next one. So another row is kept if it has a report of a column of
+    # which none was kept for n rows.
     before, last = 0, dict[str, int]()
     for table in tables:
         place = before + np.arange(table.height)

@@ -425,11 +425,9 @@ def _assigned_rows(rows: Array, t: Array, reach: float) -> Array:
 
 
 def between(t: Array, known: Array, reports: Array) -> Array:
-    """Interpolation of reports at times t (n,); NaN outside of them and where reports are lost.
-
-    The curve is monotone from one report to the next (Fritsch and Butland, 1984): it never goes beyond them,
-    not even in a burst of reports, and is far closer to a smooth motion than a straight line.
-    """
+    """Interpolation of reports at times t (n,); NaN outside of them and where reports are lost."""
+    # The curve is monotone from one report to the next (Fritsch and Butland, 1984): it never goes beyond
+    # them, not even in a burst of reports, and is far closer to a smooth motion than a straight line.
     from scipy.interpolate import PchipInterpolator  # slow to import, and few logs come this far
 
     if len(known) < 2:
@@ -481,10 +479,8 @@ def interpolated_mean(t: Array, one: Series) -> Array:
 
 
 def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
-    """Standard deviation of the white noise of reports (k,) at times that need not be even.
-
-    From divided differences: the combination of neighbours in which a polynomial below the order vanishes.
-    """
+    """Standard deviation of the white noise of reports (k,) at times that need not be even."""
+    # From divided differences: the combination of neighbours in which a polynomial below the order vanishes.
     count = order + 1
     if len(t) <= count:
         return 0.0
@@ -498,11 +494,9 @@ def report_noise(t: Array, y: Array, order: int = SERIES.order) -> float:
 
 
 def noise_variance(differences: Array) -> float:
-    """Variance of noise in differences (k,), some of which may contain kinks and jumps of a motion.
-
-    The mean square of the others is more accurate than an estimate by the median. Where most of them are
-    zero, as of a sensor with few digits at rest, only the rest count.
-    """
+    """Variance of noise in differences (k,), some of which may contain kinks and jumps of a motion."""
+    # The mean square of the others is more accurate than an estimate by the median. Where most of them are
+    # zero, as of a sensor with few digits at rest, only the rest count.
     if not robust_scale(differences):
         differences = differences[differences != 0.0]
     rough = robust_scale(differences)

@@ -535,11 +535,9 @@ def _is_number(value: float | str) -> bool:
 def elapsed(
     table: pl.DataFrame, mapping: LogMapping, scale: float, where: str, origin: Origin | None = None
 ) -> tuple[NDArray[np.float64], Origin]:
-    """Return the time column as numbers from an origin, in its own unit, and the origin.
-
-    Whole numbers and texts are subtracted before they become floats, which resolve nanoseconds since 1970 to
-    256 only.
-    """
+    """Return the time column as numbers from an origin, in its own unit, and the origin."""
+    # Whole numbers and texts are subtracted before they become floats, which resolve nanoseconds since 1970
+    # to 256 only.
     name = mapping.time.column
     raw = numbers(table, name, mapping, where)
     if origin is None and not (len(raw) and abs(scale * raw[0]) > _EPOCH):
@@ -602,10 +600,8 @@ def seconds(
 
 
 def padded(stamps: pl.Series) -> pl.Series:
-    """Texts of dates with zeros before the fraction of a second, where time then goes back less often.
-
-    Some loggers write 93 ms and 992 ms as ".93" and ".992".
-    """
+    """Texts of dates with zeros before the fraction of a second, where time then goes back less often."""
+    # Some loggers write 93 ms and 992 ms as ".93" and ".992".
     stamps = _as_iso(stamps)
     parts = stamps.str.extract_groups(_FRACTION).struct
     digits = parts.field("2").str.len_chars()

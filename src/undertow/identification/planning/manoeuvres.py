@@ -201,13 +201,6 @@ def _pure_motion(forces: Array, scale: Array, i: int) -> Array | None:
     return np.asarray(pattern / np.max(np.abs(pattern)))
 
 
-def actuator_axes(vehicle: Vehicle, effectiveness: Array, room: Array) -> list[Axis]:
-    """Every command that acts on a motion of the vehicle, on its own."""
-    moves = np.any(effectiveness != 0, axis=0)
-    units = np.diag(room)
-    return [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if moves[i]]
-
-
 @dataclass(frozen=True)
 class Trim:
     """Commands that hold a vehicle at rest against weight and buoyancy."""
@@ -304,8 +297,9 @@ class Design:
 
 def every_axis(vehicle: Vehicle, effectiveness: Array, room: Array) -> tuple[list[Axis], list[Axis]]:
     """Axes of motions, and of single actuators where these differ; commands may go `room` (k,) from rest."""
-    motions = motion_axes(vehicle, effectiveness, room)
-    actuators = actuator_axes(vehicle, effectiveness, room)
+    motions, units = motion_axes(vehicle, effectiveness, room), np.diag(room)
+    moves = np.any(effectiveness != 0, axis=0)
+    actuators = [Axis(n, units[i]) for i, n in enumerate(vehicle.command_names) if moves[i]]
     if len(motions) == len(actuators) and all(np.count_nonzero(a.pattern) == 1 for a in motions):
         return motions, []
     return motions, actuators

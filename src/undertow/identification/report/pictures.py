@@ -279,19 +279,16 @@ def _draw_trace(axis: Any, trace: Trace, names: tuple[str, str]) -> None:
     ]
     for values, label, style in lines:
         if values is not None:
-            dots = {"marker": ".", "markersize": 2.0} if _has_isolated_samples(values) else {}
+            # Samples that a line cannot join, as those of a sensor slower than its log.
+            there = np.concatenate([[False], np.isfinite(values), [False]])
+            isolated = np.any(there[1:-1] & ~there[:-2] & ~there[2:])
+            dots = {"marker": ".", "markersize": 2.0} if isolated else {}
             shown = _without_blanks(trace.t, values) if values is trace.measured else (trace.t, values)
             axis.plot(*decimated(*shown), label=label, **style, **dots)
     _limits(axis, trace)
     axis.margins(x=0.01)
     axis.set_ylabel(with_unit(trace.channel, trace.unit))
     axis.grid()
-
-
-def _has_isolated_samples(values: Array) -> bool:
-    """Whether samples have no neighbour that a line could go to, as those of a sensor slower than its log."""
-    there = np.concatenate([[False], np.isfinite(values), [False]])
-    return bool(np.any(there[1:-1] & ~there[:-2] & ~there[2:]))
 
 
 def _without_blanks(t: Array, values: Array) -> tuple[Array, Array]:

@@ -81,10 +81,8 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
 
 
 def step_changes(before: Step, after: Step) -> str:
-    """How the errors of predictions change from one model to another.
-
-    The position error is mentioned if it improves most: a sensor error may show in nothing else.
-    """
+    """How the errors of predictions change from one model to another."""
+    # The position error is mentioned if it improves most: a sensor error may show in nothing else.
     parts = [changes(before.ahead, after.ahead)]
     of_velocities, _ = _longest_fall(before.ahead, after.ahead)
     fall, horizon = _longest_fall(before.position, after.position)
@@ -153,10 +151,8 @@ def errors(ahead: Mapping[str, float]) -> str:
 
 
 def as_stated(given: Step, after: Step, changed: str) -> str:
-    """A sentence on the error with the values of the vehicle file, and whether a changed model has less.
-
-    A refit may be worse on validation data than the file: an improvement on the refit alone means little.
-    """
+    """A sentence on the error with the values of the vehicle file, and whether a changed model has less."""
+    # A refit may be worse on validation data than the file: an improvement on the refit alone means little.
     if not given.ahead:
         return "With the values of the vehicle file, the model diverges."
     better = any(rises(after.ahead.get(h), given.ahead[h]) for h in _horizons([given.ahead]))

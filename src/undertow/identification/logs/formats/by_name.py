@@ -79,6 +79,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     found = [guess for guess in guessed if guess.channel in lacking]
     unknown = [c for c in lacking if c not in {guess.channel for guess in found}]
     others = tuple(n for n in left if unknown and n not in {guess.column for guess in found})
+    other_motors = bool(log.actuators and unknown)
     return GuessedMapping(
         log.path.name,
         Guess(meaning.time.column, meaning.time.model_dump(exclude_defaults=True) or {"column": TIME}),
@@ -88,21 +89,17 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
         HELD if found else meaning,
         (
             *([] if moving else without_motion(vehicle, {guess.channel for guess in known})),
-            *(_motors(log, unknown) if log.actuators else no_column(unknown)),
+            *([_MOTORS.format(len(log.actuators), len(unknown), ", ".join(unknown))] if other_motors else []),
+            *([] if log.actuators else no_column(unknown)),
             *([_VELOCITIES.format(", ".join(moving))] if moving else []),
         ),
     )
 
 
-def _motors(log: FieldLog, unknown: Sequence[str]) -> list[str]:
-    """Questions if the log is known to have motors, but not as many as the vehicle."""
-    asked = (
-        f"the log has {len(log.actuators)} motors, the vehicle has {len(unknown)} commands without a column "
-        f"({', '.join(unknown)}): is it the vehicle of this log? If so, which motor is which command?"
-    )
-    return [asked] if unknown else []
-
-
+_MOTORS = (
+    "the log has {} motors, the vehicle has {} commands without a column ({}): is it the vehicle of this "
+    "log? If so, which motor is which command?"
+)
 _MOVES = "? judging by its name, a velocity that no other column provides"
 _VELOCITIES = (
     "{}: judging by their names, velocities that no other column provides: are they, in what unit and along "

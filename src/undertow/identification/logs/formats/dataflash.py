@@ -232,7 +232,10 @@ class Records:
 
 
 def open_records(path: Path) -> Records:
-    data = _bytes(path)
+    if path.stat().st_size < _MAPPED:  # a file that is mapped must not be replaced meanwhile
+        data = np.fromfile(path, dtype=np.uint8)
+    else:
+        data = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
     kinds = _kinds(data)
     lengths = np.zeros(256, dtype=np.int64)
     lengths[list(kinds)] = [kind.length for kind in kinds.values()]
@@ -258,13 +261,6 @@ def open_records(path: Path) -> Records:
         if lost and (name := kinds[number].name) in clocks:
             there[name], clocks[name] = there[name].taken(sound[own]), clocks[name][sound[own]]
     return Records(there, _series(there, clocks), notes)
-
-
-def _bytes(path: Path) -> Bytes:
-    """The bytes of a file; those of a large one are read from the disk when used."""
-    if path.stat().st_size < _MAPPED:  # a file that is mapped must not be replaced meanwhile
-        return np.fromfile(path, dtype=np.uint8)
-    return np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
 
 
 def _rows_of(types: Bytes) -> dict[int, Index]:
@@ -303,7 +299,8 @@ def _by_instance(messages: _Messages, column: str | None) -> Iterator[tuple[str,
 
 def _units(messages: dict[str, _Messages]) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
     """Units of columns, and the column of instances, by name of the kind."""
-    fields, units, by_number = messages.get("FMTU"), _letters(messages, "UNIT", "Label"), _numbers(messages)
+    fields, units = messages.get("FMTU"), _letters(messages, "UNIT", "Label")
+    by_number = {int(m.data[m.places[0] + 2]): name for name, m in messages.items()}
     kinds = {n: m.kind for n, m in messages.items()}
     marked = {n: k.columns[1] for n, k in kinds.items() if k.columns[1:2] and k.columns[1] in _INSTANCES}
     if fields is None or "UNIT" not in messages:
@@ -333,11 +330,6 @@ def _letters(messages: dict[str, _Messages], name: str, column: str) -> dict[str
 
 def _chars(messages: dict[str, _Messages], name: str) -> list[str]:
     return [chr(int(code) & 0xFF) for code in messages[name].numbers("Id")]
-
-
-def _numbers(messages: dict[str, _Messages]) -> dict[int, str]:
-    """Names of the kinds by their number."""
-    return {int(m.data[m.places[0] + 2]): name for name, m in messages.items()}
 
 
 def _unit(label: str, factor: float) -> str:
@@ -382,7 +374,9 @@ class _Navigation:
         there = [f for f in families if self._cores(f"{f}1")]
         self.family = there[0] if there else ""
         self.core = self._primary() if there else 0
-        self.held = self._held()
+        self.held: list[Interval] = []  # when the estimator held its position for lack of aiding
+        if (status := self._rows("4", "SS")) is not None:
+            self.held = runs_of(status[0], status[1].astype(np.int64) & SETTINGS.held != 0)
         self.velocity_axes: Literal["NED", "body"] = "NED" if self._moves() else "body"
 
     def _cores(self, name: str) -> list[int]:
@@ -409,11 +403,6 @@ class _Navigation:
                 self.notes.append(f"core {most} of {self.family}1 is read, the primary one")
                 return most
         return cores[0]
-
-    def _held(self) -> list[tuple[float, float]]:
-        """When the estimator held its position for lack of aiding."""
-        rows = self._rows("4", "SS")
-        return [] if rows is None else runs_of(rows[0], rows[1].astype(np.int64) & SETTINGS.held != 0)
 
     def _moves(self) -> bool:
         """Whether the estimator has places and velocities, and did not hold its place all the time."""

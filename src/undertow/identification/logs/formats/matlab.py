@@ -67,7 +67,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     found = from_one_begin(found)
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}
-    about, asked = tuple([*notes, *_on_untimed(untimed)]), tuple(questions)
+    if untimed:
+        were = "was" if len(untimed) == 1 else "were"
+        notes.append(f"no time has as many samples as {listed(untimed)}, which {were} left out")
+    about, asked = tuple(notes), tuple(questions)
     return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
 
 
@@ -78,12 +81,6 @@ def _on_objects(names: Sequence[str]) -> list[str]:
     them, one = ("it as a struct", "is an object") if len(names) == 1 else ("them as structs", "are objects")
     how = f"a table or timetable by S = table2struct(timetable2table({names[0]}), 'ToScalar', true)"
     return [f"{listed(names)} {one} of MATLAB: save {them}, {how}"]
-
-
-def _on_untimed(names: Sequence[str]) -> list[str]:
-    """One note on measurements of which nothing says when they were taken."""
-    verb = "was" if len(names) == 1 else "were"
-    return [f"no time has as many samples as {listed(names)}, which {verb} left out"] if names else []
 
 
 # --- from the file to names and arrays ------------------------------------------------------------

@@ -422,14 +422,10 @@ _RESET = re.compile(r"EKF.*(reset|yaw (re-?)?align|lane switch|is using|stopped 
 
 
 def _accepts(path: Path, head: bytes) -> bool:
-    if path.suffix.lower() != ".tlog":
-        return len(head) > 30 and _is_tlog(head)
-    return bool(head)
-
-
-def _is_tlog(head: bytes) -> bool:
-    """Whether two messages follow each other from the first byte on, each after a time of this century."""
-    first = _ends(head, 0)
+    if path.suffix.lower() == ".tlog":
+        return bool(head)
+    # Two messages follow each other from the first byte on, each after a time of this century.
+    first = _ends(head, 0) if len(head) > 30 else None
     return first is not None and _ends(head, first[1]) is not None
 
 

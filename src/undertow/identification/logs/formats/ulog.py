@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -57,7 +56,9 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         log = pyulog.ULog(stream)
     if not log.data_list:
         raise UndertowError(f"log {path} has no data: check that it is complete")
-    found = {_name(data): data.data for data in log.data_list}
+    # Of several instances, those after the first are called with their number.
+    names = [f"{data.name}[{data.multi_id}]" if data.multi_id else str(data.name) for data in log.data_list]
+    found = {name: data.data for name, data in zip(names, log.data_list, strict=True)}
     begin = log.start_timestamp
     series = {name: _series(name, data, begin) for name, data in found.items()}
     known = {
@@ -86,11 +87,6 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 _NOTHING = Series("", np.zeros(0), {})
 _PULSES = "actuator_outputs"
-
-
-def _name(data: Any) -> str:
-    """The name of a message; of several instances, those after the first with their number."""
-    return f"{data.name}[{data.multi_id}]" if data.multi_id else str(data.name)
 
 
 def _series(name: str, data: Mapping[str, Array], begin: int) -> Series:
