@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
@@ -260,8 +259,8 @@ def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, st
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
     if isinstance(table.curve, str):
         ours = bundled_curves().get(table.curve)
-        settings = replace(_CURVES, error=_CURVES.bundled) if ours else _CURVES
-        return Curve.through(_points(place, ours or folder / table.curve, settings)), "command"
+        error = _ERROR_OF_BUNDLED if ours else _ERROR_OF_CURVE
+        return Curve.through(_points(place, ours or folder / table.curve, error)), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
@@ -270,19 +269,12 @@ def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, st
     return None, "command"
 
 
-@dataclass(frozen=True)
-class CurveSettings:
-    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
-
-    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
-    points: int = 40  # most points
-    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
-    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
-    bundled: float = 0.0075
-
-
-_CURVES = CurveSettings()
-
+# How many points of a bench test a curve keeps: every one costs time in every step of a simulation.
+_MOST_POINTS = 40
+_ERROR_OF_CURVE = 0.003  # the largest, as a share of the span of the thrust; bench tests repeat to 1 %
+# The same for curves that come with undertow: one T200 differs from the next by more, and each point of its
+# eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+_ERROR_OF_BUNDLED = 0.0075
 
 Point = tuple[float, float]
 
@@ -294,7 +286,7 @@ def bundled_curves() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.csv"))}
 
 
-def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
+def _points(place: str, path: Path, largest_error: float) -> list[Point]:
     """Commands and thrusts, N, of a file with two columns, reduced to as few as needed."""
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -312,7 +304,7 @@ def _points(place: str, path: Path, settings: CurveSettings) -> list[Point]:
         raise UndertowError(
             f"{place}: commands of curve '{path}' neither rise nor fall from row to row: sort them"
         )
-    return _reduced(found, settings)
+    return _reduced(found, largest_error)
 
 
 def _is_number(text: str) -> bool:
@@ -322,15 +314,15 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _reduced(points: list[Point], settings: CurveSettings) -> list[Point]:
+def _reduced(points: list[Point], largest_error: float) -> list[Point]:
     """Points without those that the curve through the others reproduces."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}
-    while len(kept) < min(settings.points, len(points)):
+    while len(kept) < min(_MOST_POINTS, len(points)):
         curve = Curve.through([points[k] for k in sorted(kept)])
         errors = [abs(curve.at(x) - y) for x, y in points]
         worst = max(range(len(points)), key=errors.__getitem__)
-        if errors[worst] <= settings.error * span:
+        if errors[worst] <= largest_error * span:
             break
         kept.add(worst)
     return [points[k] for k in sorted(kept)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -40,19 +40,11 @@ from .mistakes import (
 )
 from .sensors import clustered_least_squares
 
-
-@dataclass(frozen=True)
-class ForceSettings:
-    """How forces are compared."""
-
-    width: float = 2.0  # of test functions, in the narrowest that the sampling allows: beyond is noise
-    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
-    # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
-    # follow from others.
-    distinct: float = 1e-4
-
-
-FORCES = ForceSettings()
+_WIDTH = 2.0  # of test functions, in the narrowest that the sampling allows: beyond is noise
+CLUSTER = 8  # neighbouring test functions that count as one, since they overlap
+# Commands that differ by less than this (squared, as a share) count as one: an allocation makes some follow
+# from others.
+DISTINCT = 1e-4
 
 
 def allocation(vehicle: Vehicle) -> Array:
@@ -107,7 +99,7 @@ class Forces:
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = cached_test_functions(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
+            functions = cached_test_functions(t, _WIDTH * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
                 yield _means(functions, motion, len(velocities), force[part], self.mass, (index, count))
@@ -222,63 +214,49 @@ class Response:
         return abs(self.gain) > errors * self.error and self.share > share
 
 
-class Responses:
-    """Where and how motion is compared with commands; the same for a log as given and as mended.
-
-    An actuation that depends on the motion is refused.
-    """
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle, self._forces = vehicle, Forces(vehicle)
-
-    def of(self, runs: Sequence[Run]) -> list[Response]:
-        """Responses of every motion whose inertia is known to every command and to all together."""
-        table = self._forces.table(runs, PLAUSIBLE.samples)
-        if table is None:
-            return []
-        # An inertia that is to be estimated is no evidence.
-        stated = {name for name, value in self.vehicle.values.items() if not value.estimate}
-        known = [row for row, dof in enumerate(self.vehicle.dof_indices) if _INERTIA[dof] in stated]
-        return [r for row in known for r in self._row(table, row)]
-
-    def _row(self, table: ForceTable, row: int) -> Iterator[Response]:
+def _responses(forces: Forces, runs: Sequence[Run]) -> Iterator[Response]:
+    """Responses of every motion whose inertia is known to every command and to all together."""
+    vehicle, table = forces.vehicle, forces.table(runs, PLAUSIBLE.samples)
+    if table is None:
+        return
+    for row, dof in enumerate(vehicle.dof_indices):
+        inertia = vehicle.values.get(_INERTIA[dof])
+        if inertia is None or inertia.estimate:  # one that is to be estimated is no evidence
+            continue
         given = table.commanded[:, row]
         # Where thrust per command is to be estimated, any unit of the command will do.
-        free = {k for k, t in enumerate(self.vehicle.thrusters) if t.thrust_per_command.estimate}
+        free = {k for k, t in enumerate(vehicle.thrusters) if t.thrust_per_command.estimate}
         acting = [k for k in range(given.shape[1]) if np.any(given[:, k]) and k not in free]
         rest = np.delete(given, acting, axis=1)
         others = np.column_stack([table.others, rest[:, np.any(rest != 0, axis=0)]])
-        if len(table.force) < 2 * (others.shape[1] + len(acting)):
-            return
-        names = [(self.vehicle.command_names[k], k) for k in acting]
-        if len(acting) != 1:
-            yield from self._responses(table, row, others, [("", given[:, acting].sum(axis=1))])
-        yield from self._responses(table, row, others, [(name, given[:, k]) for name, k in names])
-
-    def _responses(
-        self, table: ForceTable, row: int, others: Array, commands: list[tuple[str, Array]]
-    ) -> Iterator[Response]:
         force = table.force[:, row]
-        if not commands or not np.any(force):
-            return
-        own = orthogonal_to(others, np.column_stack([force, *(data for _, data in commands)]))
-        gains, errors, shares = _fitted(own[:, 1:], own[:, 0])
-        dof = self.vehicle.degrees_of_freedom[row]
-        for (name, data), *found in zip(commands, gains, errors, shares, strict=True):
-            sizes = (float(np.sqrt(np.mean(a**2))) for a in (force, data))
-            yield Response(dof, name, *map(float, found), *sizes)
+        if len(force) < 2 * (others.shape[1] + len(acting)) or not acting or not np.any(force):
+            continue
+        motion = vehicle.degrees_of_freedom[row]
+        if len(acting) > 1:
+            yield from _compared(motion, force, others, {"": given[:, acting].sum(axis=1)})
+        yield from _compared(motion, force, others, {vehicle.command_names[k]: given[:, k] for k in acting})
+
+
+def _compared(motion: str, force: Array, others: Array, commands: dict[str, Array]) -> Iterator[Response]:
+    """Force of one motion against that of commands, beside what else may act."""
+    own = orthogonal_to(others, np.column_stack([force, *commands.values()]))
+    found = zip(*_fitted(own[:, 1:], own[:, 0]), strict=True)
+    for (name, data), response in zip(commands.items(), found, strict=True):
+        sizes = (float(np.sqrt(np.mean(a**2))) for a in (force, data))
+        yield Response(motion, name, *map(float, response), *sizes)
 
 
 def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
     """Gains of columns by least squares, their errors, and what share each explains that no other does."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     scaled = columns / size
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=FORCES.distinct, hermitian=True)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=DISTINCT, hermitian=True)
     value = inverse @ (scaled.T @ force)
     left = float(np.sum((force - scaled @ value) ** 2))
     more = np.divide(value**2, np.diag(inverse), out=np.zeros_like(value), where=np.diag(inverse) > 0)
     spread = max(np.sqrt(left / len(force)), 1e-9 * float(np.max(np.abs(force))))
-    value, error = clustered_least_squares(scaled / spread, force / spread, FORCES.cluster, FORCES.distinct)
+    value, error = clustered_least_squares(scaled / spread, force / spread, CLUSTER, DISTINCT)
     return value / size, error / size, more / np.maximum(left + more, 1e-300)
 
 
@@ -317,30 +295,30 @@ class _PlausibilityCheck:
     def by_force(self) -> Explanation | None:
         """The force that the motion needs, against what the commands give."""
         try:
-            responses = Responses(self.vehicle)
+            forces = Forces(self.vehicle)
         except UndertowError:  # actuation that depends on the motion does not follow from the log alone
             return None
-        before = self._certain(responses.of(self.runs))
+        before = self._certain(_responses(forces, self.runs))
         beyond = {key: r for key, r in before.items() if not self._possible(r)}
         if not beyond:
             return None
         worst = max(beyond.values(), key=lambda r: abs(np.log(abs(r.gain))))
-        found = self._explanations(responses, before, beyond)
+        found = self._explanations(forces, before, beyond)
         if not found:
             return None
         text = f"{found[0].clause}: {_force_text(worst, self.settings)}"
         names = ("gain", "error", "needed", "given")
         return Explanation(found[0], text, {n: getattr(worst, n) for n in names}, found[1:])
 
-    def _certain(self, found: Sequence[Response]) -> _ByKey:
+    def _certain(self, found: Iterable[Response]) -> _ByKey:
         s = self.settings
         return {(r.degree_of_freedom, r.command): r for r in found if r.is_certain(s.errors, s.share)}
 
-    def _explanations(self, responses: Responses, before: _ByKey, beyond: _ByKey) -> list[Mistake]:
+    def _explanations(self, forces: Forces, before: _ByKey, beyond: _ByKey) -> list[Mistake]:
         """Mistakes without which force and motion agree, the simplest first, then the best."""
         found = []
         for place, mistake in enumerate([*self._units_of_motion(), *self._units_of_commands(beyond)]):
-            all_after = responses.of(self.without(mistake))
+            all_after = [*_responses(forces, self.without(mistake))]
             after = self._certain(all_after)
             # Significant responses must remain so: a motion that is scaled away would agree with anything.
             near = all(key in after and _within(after[key].gain, self.settings.near) for key in beyond)

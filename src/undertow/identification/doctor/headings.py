@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,23 +11,13 @@ from undertow.identification.logs.mapping import LogMapping, as_toml
 from undertow.identification.logs.run import Run
 
 from .dynamics import rederived
-from .mistakes import Mistake, reading_mistakes
+from .mistakes import reading_mistakes
 
-
-@dataclass(frozen=True)
-class HeadingSettings:
-    """Thresholds for the course over ground beside the heading."""
-
-    # Mean cosine of the angle between course and heading, weighted by the squared speed, from which a vehicle
-    # moves ahead: boats, torpedoes and gliders, in currents up to a third of their speed.
-    ahead: float = 0.9
-    # The same below which it does not; half of it is 60 degrees.
-    off_course: float = 0.5
-    # Length of the mean of the heading's direction from which it is too steady to be informative.
-    steady: float = 0.9
-
-
-SETTINGS = HeadingSettings()
+# Mean cosine of the angle between course and heading, weighted by the squared speed, from which a vehicle
+# moves ahead: boats, torpedoes and gliders, in currents up to a third of their speed.
+_AHEAD = 0.9
+_OFF_COURSE = 0.5  # the same below which it does not; half of it is 60 degrees
+_STEADY = 0.9  # length of the mean of the heading's direction from which it is too steady to be informative
 _MIRRORED = ("frame", "swapped_position", "flipped_axis")
 
 
@@ -40,26 +29,25 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     if not all({"u", "v"} <= run.derived and run.has("psi") for run in runs):
         return
     ahead = _ahead(runs)
-    if ahead > SETTINGS.ahead:
+    if ahead > _AHEAD:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
     psi = np.concatenate([run.channels["psi"] for run in runs])
     steadiness = float(np.abs(np.nanmean(np.exp(1j * psi))))  # one where it is constant
-    turns = steadiness < SETTINGS.steady and ahead < SETTINGS.off_course
-    found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
-    yield _mirrored(found, ahead, mapping) if found else _unchecked(ahead)
-
-
-def _ahead(runs: Sequence[Run]) -> float:
-    """Mean cosine of the angle between course and heading, weighted by the squared speed."""
-    u, v = (np.concatenate([run.channels[n] for run in runs]) for n in ("u", "v"))
-    speed = np.hypot(u, v)
-    return float(np.nansum(speed * u) / max(np.nansum(speed**2), 1e-30))
-
-
-def _mirrored(found: Sequence[Mistake], ahead: float, mapping: LogMapping) -> Finding:
+    turns = steadiness < _STEADY and ahead < _OFF_COURSE
+    found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > _AHEAD]
+    if not found:
+        yield Finding(
+            id="heading_unchecked",
+            severity="note",
+            text="whether the heading counts clockwise from north or anticlockwise from east is judged by "
+            "the fit of the model alone: no velocity along the body was measured, and by its position the "
+            f"vehicle does not move where it heads (mean cosine between course and heading {ahead:.2f})",
+            evidence={"ahead": ahead},
+        )
+        return
     first, *others = found
-    return Finding(
+    yield Finding(
         id=first.id,
         severity="warning",
         text=f"perhaps {first.clause}: by the change of its position the vehicle moves where it heads only "
@@ -70,12 +58,8 @@ def _mirrored(found: Sequence[Mistake], ahead: float, mapping: LogMapping) -> Fi
     )
 
 
-def _unchecked(ahead: float) -> Finding:
-    return Finding(
-        id="heading_unchecked",
-        severity="note",
-        text="whether the heading counts clockwise from north or anticlockwise from east is judged by the "
-        "fit of the model alone: no velocity along the body was measured, and by its position the vehicle "
-        f"does not move where it heads (mean cosine between course and heading {ahead:.2f})",
-        evidence={"ahead": ahead},
-    )
+def _ahead(runs: Sequence[Run]) -> float:
+    """Mean cosine of the angle between course and heading, weighted by the squared speed."""
+    u, v = (np.concatenate([run.channels[n] for run in runs]) for n in ("u", "v"))
+    speed = np.hypot(u, v)
+    return float(np.nansum(speed * u) / max(np.nansum(speed**2), 1e-30))
