@@ -120,12 +120,7 @@ def guess_table(
     axes = axes_of(known | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
-    if vehicle is not None:
-        # Channels that it has, and those without which axes cannot be turned.
-        turning = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
-        both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
-        own = {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turning, *both}
-        read = [g for g in read if g.channel in own]
+    read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     axes_of_commands = _axes(vehicle) if vehicle else {}
     read += [
         _command(command, name, data[name.column], units, axes_of_commands)
@@ -155,6 +150,13 @@ def guess_table(
         reading,
         (*questions, *gaps),
     )
+
+
+def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:
+    """Channels that a vehicle has, and those without which axes cannot be turned."""
+    turning = () if axes.entry == Axes().entry else ("x", "y", "psi", "u", "v")
+    both = ("x", "y") if {"surge", "yaw"} <= {*vehicle.degrees_of_freedom} else ()
+    return {*vehicle.pose_names, *vehicle.velocity_names, *vehicle.inputs, *turning, *both}
 
 
 def _in_si(data: Mapping[str, Array], time: str) -> dict[str, Array]:
