@@ -50,10 +50,16 @@ Piece = tuple[str, Any]
 Bar = Callable[[str], AbstractContextManager[Progress]]
 
 
-# What counts in the second example, chosen by the look of its six runs.
-_NOTICEABLE = 0.05  # share of an error by which it must change to be worth a word
-_START_UP = 3.0  # length of the start of a run, s
-_NO_PUSH = 0.01  # share of the largest push below which the hull coasts
+@dataclass(frozen=True)
+class DemoSettings:
+    """What counts in the second example, chosen by the look of its six runs."""
+
+    noticeable: float = 0.05  # share of an error by which it must change to be worth a word
+    start_up: float = 3.0  # length of the start of a run, s
+    no_push: float = 0.01  # share of the largest push below which the hull coasts
+
+
+SETTINGS = DemoSettings()
 
 
 def examples(folder: Path, bar: Bar) -> Iterator[Piece]:
@@ -246,9 +252,11 @@ def _hull(output: _Output, bar: Bar) -> Iterator[Piece]:
         headline = way.outcome.diagnosis.headline
         yield "text", f"Diagnosis, identified on {way.profile}, judged on {way.other}: {headline}"
     tried = [i for i in ways[0].additions if i in ways[1].additions]
-    changed = [i for i in tried if any(abs(way.ahead(i) / way.without - 1.0) > _NOTICEABLE for way in ways)]
+    changed = [
+        i for i in tried if any(abs(way.ahead(i) / way.without - 1.0) > SETTINGS.noticeable for way in ways)
+    ]
     changed.sort(key=lambda i: sum(way.ahead(i) / way.without for way in ways))
-    lower = [i for i in changed if all(w.ahead(i) < (1.0 - _NOTICEABLE) * w.without for w in ways)]
+    lower = [i for i in changed if all(w.ahead(i) < (1.0 - SETTINGS.noticeable) * w.without for w in ways)]
     yield from _effects(output, ways, changed, len(tried) - len(changed), lower)
     if lower:
         yield from _best(output, ways, lower[0])
@@ -272,9 +280,9 @@ def _where(ways: Ways) -> Iterator[Piece]:
 
 def _phases(forces: Forces) -> dict[str, float]:
     push, speed = forces.commands[:, 0], forces.velocity[:, 0]
-    coasting = np.abs(push) <= _NO_PUSH * np.max(np.abs(push))
+    coasting = np.abs(push) <= SETTINGS.no_push * np.max(np.abs(push))
     against = ~coasting & (push * speed < 0)
-    start = ~coasting & ~against & (forces.t < forces.t.min() + _START_UP)
+    start = ~coasting & ~against & (forces.t < forces.t.min() + SETTINGS.start_up)
     masks = {
         "start-up (first 3 s)": start,
         "pushed along": ~coasting & ~against & ~start,
@@ -300,7 +308,7 @@ def _effects(
     rows = [(name, *(f"{e:.1%}" for e in row)) for name, row in zip(names, errors, strict=True)]
     yield "table", (("with", *(way.name for way in ways)), rows)
     if others:
-        yield "text", f"{others} others change it by less than {_NOTICEABLE:.0%}."
+        yield "text", f"{others} others change it by less than {SETTINGS.noticeable:.0%}."
     regimes = tuple(way.name for way in ways)
     chart = ErrorMap(names, regimes, 100 * np.array(errors), quantity="velocity error [%]", floor=None)
     picture = error_map(chart, ("fitted to one profile → judged on the other", ""))

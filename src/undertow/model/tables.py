@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
@@ -259,7 +260,7 @@ def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, st
         return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
     if isinstance(table.curve, str):
         ours = bundled_curves().get(table.curve)
-        error = _ERROR_OF_BUNDLED if ours else _ERROR_OF_CURVE
+        error = _CURVES.bundled if ours else _CURVES.error
         return Curve.through(_points(place, ours or folder / table.curve, error)), "command"
     if table.curve is not None:
         limit = _limit(place, table.limit)
@@ -269,12 +270,18 @@ def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, st
     return None, "command"
 
 
-# How many points of a bench test a curve keeps: every one costs time in every step of a simulation.
-_MOST_POINTS = 40
-_ERROR_OF_CURVE = 0.003  # the largest, as a share of the span of the thrust; bench tests repeat to 1 %
-# The same for curves that come with undertow: one T200 differs from the next by more, and each point of its
-# eight thrusters costs a tenth of a second whenever the vehicle is loaded.
-_ERROR_OF_BUNDLED = 0.0075
+@dataclass(frozen=True)
+class CurveSettings:
+    """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
+
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    points: int = 40  # most points
+    # The same error for curves that come with undertow: one T200 differs from the next by more, and each
+    # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
+    bundled: float = 0.0075
+
+
+_CURVES = CurveSettings()
 
 Point = tuple[float, float]
 
@@ -318,7 +325,7 @@ def _reduced(points: list[Point], largest_error: float) -> list[Point]:
     """Points without those that the curve through the others reproduces."""
     span = max(y for _, y in points) - min(y for _, y in points)
     kept = {0, len(points) - 1}
-    while len(kept) < min(_MOST_POINTS, len(points)):
+    while len(kept) < min(_CURVES.points, len(points)):
         curve = Curve.through([points[k] for k in sorted(kept)])
         errors = [abs(curve.at(x) - y) for x, y in points]
         worst = max(range(len(points)), key=errors.__getitem__)

@@ -40,11 +40,20 @@ from .mistakes import (
 )
 from .sensors import clustered_least_squares
 
-_WIDTH = 2.0  # of test functions, in the narrowest that the sampling allows: beyond is noise
-CLUSTER = 8  # neighbouring test functions that count as one, since they overlap
-# Commands that differ by less than this (squared, as a share) count as one: an allocation makes some follow
-# from others.
-DISTINCT = 1e-4
+
+@dataclass(frozen=True)
+class ForceSettings:
+    """How forces are compared."""
+
+    # Of test functions, in the narrowest that the sampling allows: what is faster is noise.
+    width: float = 2.0
+    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
+    # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
+    # follow from others.
+    distinct: float = 1e-4
+
+
+FORCES = ForceSettings()
 
 
 def allocation(vehicle: Vehicle) -> Array:
@@ -99,7 +108,7 @@ class Forces:
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = cached_test_functions(t, _WIDTH * knot_spacing(t)) if len(t) > 2 else None
+            functions = cached_test_functions(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
                 yield _means(functions, motion, len(velocities), force[part], self.mass, (index, count))
@@ -251,12 +260,12 @@ def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
     """Gains of columns by least squares, their errors, and what share each explains that no other does."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     scaled = columns / size
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=DISTINCT, hermitian=True)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=FORCES.distinct, hermitian=True)
     value = inverse @ (scaled.T @ force)
     left = float(np.sum((force - scaled @ value) ** 2))
     more = np.divide(value**2, np.diag(inverse), out=np.zeros_like(value), where=np.diag(inverse) > 0)
     spread = max(np.sqrt(left / len(force)), 1e-9 * float(np.max(np.abs(force))))
-    value, error = clustered_least_squares(scaled / spread, force / spread, CLUSTER, DISTINCT)
+    value, error = clustered_least_squares(scaled / spread, force / spread, FORCES.cluster, FORCES.distinct)
     return value / size, error / size, more / np.maximum(left + more, 1e-300)
 
 

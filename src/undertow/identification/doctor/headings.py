@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,11 +14,21 @@ from undertow.identification.logs.run import Run
 from .dynamics import rederived
 from .mistakes import reading_mistakes
 
-# Mean cosine of the angle between course and heading, weighted by the squared speed, from which a vehicle
-# moves ahead: boats, torpedoes and gliders, in currents up to a third of their speed.
-_AHEAD = 0.9
-_OFF_COURSE = 0.5  # the same below which it does not; half of it is 60 degrees
-_STEADY = 0.9  # length of the mean of the heading's direction from which it is too steady to be informative
+
+@dataclass(frozen=True)
+class HeadingSettings:
+    """Thresholds for the course over ground beside the heading."""
+
+    # Mean cosine of the angle between course and heading, weighted by the squared speed, from which a vehicle
+    # moves ahead: boats, torpedoes and gliders, in currents up to a third of their speed.
+    ahead: float = 0.9
+    # The same below which it does not; half of it is 60 degrees.
+    off_course: float = 0.5
+    # Length of the mean of the heading's direction from which it is too steady to be informative.
+    steady: float = 0.9
+
+
+SETTINGS = HeadingSettings()
 _MIRRORED = ("frame", "swapped_position", "flipped_axis")
 
 
@@ -29,13 +40,13 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     if not all({"u", "v"} <= run.derived and run.has("psi") for run in runs):
         return
     ahead = _ahead(runs)
-    if ahead > _AHEAD:
+    if ahead > SETTINGS.ahead:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
     psi = np.concatenate([run.channels["psi"] for run in runs])
     steadiness = float(np.abs(np.nanmean(np.exp(1j * psi))))  # one where it is constant
-    turns = steadiness < _STEADY and ahead < _OFF_COURSE
-    found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > _AHEAD]
+    turns = steadiness < SETTINGS.steady and ahead < SETTINGS.off_course
+    found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
     if not found:
         yield Finding(
             id="heading_unchecked",

@@ -25,7 +25,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
 from .dynamics import Dynamics, most_active_part, rederived
-from .forces import CLUSTER, DISTINCT, StatedForces, orthogonal_to
+from .forces import FORCES, StatedForces, orthogonal_to
 from .mistakes import Explanation, Mistake, Undo
 from .sensors import clustered_least_squares
 
@@ -90,12 +90,14 @@ class _MotionInRun:
     def fitted(self) -> _Fitted:
         size = np.linalg.norm(self.given, axis=0)
         columns, whole = self.given / size, float(self.force @ self.force)
-        free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(DISTINCT))
+        free, *_ = np.linalg.lstsq(columns, self.force, rcond=np.sqrt(FORCES.distinct))
         left = float(np.sum((self.force - columns @ free) ** 2))
         _, positive = nnls(np.hstack([columns, -columns[:, _implausible(free / size)]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
-        gain, error = clustered_least_squares(columns / scale, self.force / scale, CLUSTER, DISTINCT)
-        inverse = np.linalg.pinv(columns.T @ columns, rcond=DISTINCT, hermitian=True)
+        gain, error = clustered_least_squares(
+            columns / scale, self.force / scale, FORCES.cluster, FORCES.distinct
+        )
+        inverse = np.linalg.pinv(columns.T @ columns, rcond=FORCES.distinct, hermitian=True)
         plain = scale * np.sqrt(np.maximum(np.diag(inverse), 1e-300))
         more = max(0.0, positive**2 - left)
         errors = more / scale**2 / float(np.max(error / plain)) ** 2

@@ -388,8 +388,15 @@ def _negated(channels: Mapping[str, NDArray[np.float64]], names: tuple[str, ...]
 
 
 # --- formulas ------------------------------------------------------------------------------------------
-# Anything longer is a program, or a mistake: an attitude has ten names of columns in it.
-_MOST_CHARACTERS, _MOST_PARTS = 2000, 200
+@dataclass(frozen=True)
+class FormulaLimits:
+    """Limits of a formula: anything longer is a program, or a mistake."""
+
+    characters: int = 2000  # an attitude has ten names of columns in it
+    parts: int = 200  # numbers, names and operations
+
+
+_LIMITS = FormulaLimits()
 _OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -427,17 +434,17 @@ class Formula:
 
     @cached_property
     def _tree(self) -> ast.expr:
-        if len(self.text) > _MOST_CHARACTERS:
+        if len(self.text) > _LIMITS.characters:
             raise UndertowError(
-                f"formula {self.text[:40]!r}... is longer than {_MOST_CHARACTERS} characters: shorten it"
+                f"formula {self.text[:40]!r}... is longer than {_LIMITS.characters} characters: shorten it"
             )
         try:
             tree = ast.parse(self.text.strip(), mode="eval")
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             reason = error.msg if isinstance(error, SyntaxError) else str(error)
             raise UndertowError(f"formula {self.text!r} is not arithmetic ({reason}): {_HOW}") from error
-        if sum(1 for _ in ast.walk(tree)) > _MOST_PARTS:
-            raise UndertowError(f"formula {self.text!r} has more than {_MOST_PARTS} parts: shorten it")
+        if sum(1 for _ in ast.walk(tree)) > _LIMITS.parts:
+            raise UndertowError(f"formula {self.text!r} has more than {_LIMITS.parts} parts: shorten it")
         return tree.body
 
     @cached_property

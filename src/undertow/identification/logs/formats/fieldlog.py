@@ -479,9 +479,16 @@ TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 """Formats that are tables already."""
 
 
-# Limit on CPU time, s, for reading a file that could hang its reader, and more for each megabyte of it:
-# importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
-_LEAST_SECONDS, _SECONDS_PER_MEGABYTE = 20.0, 1.0
+@dataclass(frozen=True)
+class TrialSettings:
+    """Limit on CPU time, s, for reading a file that could hang its reader."""
+
+    # Importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
+    least: float = 20.0
+    per_megabyte: float = 1.0
+
+
+TRIAL = TrialSettings()
 
 
 @cache
@@ -513,7 +520,7 @@ def open_field_log(path: Path, messages: Path | None = None) -> FieldLog | None:
     if found is None:
         return None
     size = path.stat().st_size if path.is_file() else 0
-    seconds = _LEAST_SECONDS + _SECONDS_PER_MEGABYTE * size / 1e6
+    seconds = TRIAL.least + TRIAL.per_megabyte * size / 1e6
     if size > found.largest:
         raise UndertowError(
             f"log {path} has {size / 1e6:.0f} MB, at most {found.largest / 1e6:.0f} MB of {found.name} can "

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,20 @@ from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
 _WORKSPACE = "workspace"
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
-_WIDEST = 16  # columns of a matrix that are measurements of their own
-_RUN = 0.5  # share of the samples of the shortest clock from which a variable is a measurement, not a setting
-_DATES = (719_529.0, 767_011.0)  # numbers of days that are dates (datenum): from 1970 to 2100
+
+
+@dataclass(frozen=True)
+class MatlabSettings:
+    """Numbers that decide what of a file is read."""
+
+    widest: int = 16  # columns of a matrix that are measurements of their own
+    # Share of the samples of the shortest clock from which a variable is a measurement, not a setting.
+    run: float = 0.5
+    # Numbers of days that are dates (datenum): from 1970 to 2100.
+    dates: tuple[float, float] = (719_529.0, 767_011.0)
+
+
+SETTINGS = MatlabSettings()
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
@@ -169,7 +181,7 @@ def _series(
             length, columns = _columns(called, array, known)
             by_length.setdefault(length, {}).update(columns)
     several = sum(length in known for length in by_length) > 1
-    shortest = _RUN * min(known, default=np.inf)
+    shortest = SETTINGS.run * min(known, default=np.inf)
     untimed += [
         f"{n} ({k})" for k, columns in by_length.items() if k not in known and k > shortest for n in columns
     ]
@@ -209,7 +221,7 @@ def _seconds(name: str, values: Array) -> Array | None:
     there = t[np.isfinite(t)] if t.ndim == 1 else t[:0]  # a sample without a time is left out later
     if len(there) < 2 or np.any(np.diff(there) < 0) or there[-1] <= there[0]:
         return None
-    if _DATES[0] < there[0] < _DATES[1] and there[-1] - there[0] < 366:
+    if SETTINGS.dates[0] < there[0] < SETTINGS.dates[1] and there[-1] - there[0] < 366:
         return (t - there[0]) * 86400.0
     return t * SECONDS[unit_of_clock(name) or unit_by_steps(there, float(np.median(np.diff(there))))]
 
@@ -220,7 +232,7 @@ def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int,
         return len(array), {name: array}
     upright = array if array.shape[0] in clocks or array.shape[1] not in clocks else array.T
     rows, width = upright.shape
-    if width > _WIDEST:
+    if width > SETTINGS.widest:
         return rows, {}
     return rows, dict(zip(names_of_columns(name, width), upright.T, strict=True))
 
