@@ -27,7 +27,7 @@ from undertow.identification.logs.mapping import (
     reassigned,
 )
 from undertow.identification.logs.run import Run
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Value, Vehicle
 
 RNG = np.random.default_rng(3)
 
@@ -351,3 +351,12 @@ def test_a_formula_is_mended_in_the_formula() -> None:
     assert not reassigned(mapping, {"u": ("v", 1.0), "v": ("u", 1.0)})  # the formula would have to go
     late = delay_edit(mapping, "psi", 0.2)
     assert edited(mapping, [late]).channels["psi"].delay == "0.3 s"
+
+
+def test_a_rudder_without_force_at_rest_has_no_range_of_commanded_force() -> None:
+    """Its thrust per command is zero, so there is nothing to compare the commands with (not 0 / 0)."""
+    case = make_case("usv", (), 2, duration=20.0, runs=("multisine",))
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    thrusters = tuple(replace(t, thrust_per_command=Value(0.0)) for t in vehicle.thrusters)
+    rows = excitation(replace(vehicle, thrusters=thrusters), runs)
+    assert [row.command_range for row in rows] == [None] * len(rows)

@@ -502,7 +502,8 @@ def _excitation_of(vehicle: Vehicle, place: int, motion: _Motion, runs: Sequence
 
 def _command_range(vehicle: Vehicle, row: int, runs: Sequence[Run]) -> float | None:
     """Span of the commanded force over the largest span that limits allow."""
-    gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters if t.wrench[row]}
+    gains = {t.name: t.wrench[row] * t.thrust_per_command.value for t in vehicle.thrusters}
+    gains = {name: gain for name, gain in gains.items() if gain}  # a rudder or a fin gives none at rest
     limits, lowest = vehicle.command_limits, vehicle.lowest_commands
     largest = sum(abs(g) * (limits[n] - lowest[n] if n in limits else np.inf) for n, g in gains.items())
     if not gains or not np.isfinite(largest) or any(vehicle.laws):
