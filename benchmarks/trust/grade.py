@@ -10,7 +10,7 @@ import numpy as np
 
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.validation import SimulationValidator
-from undertow.identification.estimation.data import WeakData, Whitening, prepare
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import (
@@ -19,6 +19,7 @@ from undertow.identification.estimation.weak_form import (
     mean_square,
     with_reestimated_noise,
 )
+from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle

@@ -635,3 +635,7 @@ def test_shares_of_full_thrust_that_are_taken_for_newtons_are_reported(tmp_path)
             by,
             reported,
         )
+    small = replace(otter, thrusters=tuple(replace(t, limit=1.0) for t in otter.thrusters))
+    table.write_csv(path)
+    (run,) = read_logs([path], small, LogMapping())
+    assert not run.reader_notes

@@ -14,11 +14,12 @@ from undertow.identification.diagnosis.candidates import Candidate, possible_in
 from undertow.identification.diagnosis.evidence import Comparison, compare_scores
 from undertow.identification.diagnosis.result import Step
 from undertow.identification.diagnosis.trial import Trial, try_candidate
-from undertow.identification.estimation.data import WeakData, Whitening, prepare
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, base_name, origins, whitened
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
+from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.codegen.functions import Functions
-from undertow.identification.estimation.data import WeakData, Whitening, group_numbers
+from undertow.identification.estimation.data import WeakData, group_numbers
 from undertow.identification.estimation.fitted import Fitted, stated_by_run
 from undertow.identification.estimation.residual import (
     Linearised,
@@ -29,11 +29,13 @@ from undertow.identification.estimation.weak_form import (
     fit_weak_by_run,
     free_parameters,
     mean_square,
+    predicting_past,
     used_in_estimation,
     values_in_runs,
     with_process_noise,
     with_reestimated_noise,
 )
+from undertow.identification.estimation.whitening import Whitening
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 
@@ -195,6 +197,13 @@ class Bench:
         test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = self._refitted_base(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
+
+    @cached_property
+    def beside_past(self) -> Bench:
+        """The bench with all that the model lacks as a disturbance that is predicted from its past."""
+        base, prediction = predicting_past(self.base)
+        test = [w.predicting(prediction) for w in self.test_whitening]
+        return replace(self, train_whitening=base.whitening, test_whitening=test, base=base)
 
     def without_disturbance(self) -> Bench:
         """The bench under sensor noise alone."""

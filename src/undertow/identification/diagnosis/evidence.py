@@ -387,6 +387,13 @@ def block_length_factor(trial: Trial, residual: Array, bench: Bench) -> int:
     return max(1, round(min(data.uncorrelated_seconds(score), longest) / data.block_seconds))
 
 
+def p_value_beside_past(finding: FoundEffect, bench: Bench) -> float:
+    """P-value of an effect beside a disturbance that is predicted from its past."""
+    predicted, found = bench.beside_past, finding.trial.fit
+    fit = predicted.fit(found.model, start=found.values)
+    return compare_scores(predicted.base_score, predicted.score(fit), bench.test).p_value
+
+
 def p_value(fall: float, by_chance: Array) -> float:
     """Probability that the best candidate reduces the error by at least this much if nothing is missing."""
     return float((1 + np.count_nonzero(by_chance >= fall)) / (1 + len(by_chance)))

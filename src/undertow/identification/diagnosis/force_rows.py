@@ -11,11 +11,12 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array, diags_array
 
 from undertow.codegen.engine import mapped
-from undertow.identification.estimation.data import Segment, WeakData, Whitening, banded, overlap
+from undertow.identification.estimation.data import Segment, WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
+from undertow.identification.estimation.whitening import Whitening, banded, overlap
 from undertow.typing import Array
 
 from .associations import Column, Trajectory

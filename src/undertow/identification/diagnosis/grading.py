@@ -31,6 +31,7 @@ from .evidence import (
     fitted,
     inclusion,
     linearised,
+    p_value_beside_past,
     reconciles_sensors,
     reduced_to_same_force,
 )
@@ -85,6 +86,23 @@ def slow_disturbance_doubt(finding: FoundEffect, settings: Settings = DEFAULT) -
     if not finding.may_be_slow_disturbance(settings):
         return ""
     return f"a slow disturbance would score as well by chance in {finding.slow_p_value:.1%} of such logs"
+
+
+def feedback_doubt(finding: FoundEffect, bench: Bench) -> str:
+    """That an effect of the commands may be the response of a controller, in words; empty if not.
+
+    Commands in a closed loop oppose the disturbance, and look like thrust that is lost or late. The
+    disturbance itself can be predicted from its past.
+    """
+    if finding.trial.candidate.effect.family != "actuation":
+        return ""
+    chance = p_value_beside_past(finding, bench)
+    if chance < bench.settings.comparison_level:
+        return ""
+    return (
+        "commands that oppose a disturbance look like this: beside one that is predicted from its past, it "
+        f"explains no more than chance (p = {chance:.2g})"
+    )
 
 
 def _is_series_of(finding: FoundEffect, other: FoundEffect) -> bool:
@@ -347,6 +365,7 @@ class Grading:
             or self._replaces_added_mass(finding)
             or size_inconsistency(finding, bench, self._later)
             or self._unexplained_variables(finding)
+            or feedback_doubt(finding, bench)
         ):
             return words
         # Last, for unlike the others it does not refute a rival of another effect.

@@ -31,16 +31,18 @@ class PredictionGain:
     """Change of predictions of the validation data by adding an effect.
 
     falls: fall of the error as a share of it, by horizon in s: of all velocities together (geometric mean).
-    largest: the same of the velocity that gains most.
+    largest: the same of the velocity that gains most, among those predicted better than by no motion.
     worse: horizons over which the predictions become significantly worse.
     better: how often predictions over the most sensitive horizon improve when the windows are resampled, and
     how often they have to. Windows of several horizons are the same segments of the logs.
+    useless: horizons over which predictions of all velocities are no better than no motion.
     """
 
     falls: dict[float, float]
     largest: dict[float, float]
     worse: tuple[float, ...]
     better: tuple[float, float] = (1.0, 0.0)
+    useless: tuple[float, ...] = ()
 
     @property
     def log_fall(self) -> float:
@@ -55,19 +57,26 @@ class PredictionGain:
 
     @classmethod
     def of(cls, before: Squares, after: Squares, settings: Settings = DEFAULT) -> PredictionGain:
-        """From mean squares by horizon, window and velocity, shape (b, n)."""
-        falls, largest, worse = {}, {}, []
+        """From mean squares by horizon, window and velocity, shape (b, n), relative to those of the motion.
+
+        Where commands oppose an unknown force, a simulation with them alone is worse than no motion, and
+        whatever makes the vehicle respond less improves it: that is no evidence.
+        """
+        falls, largest, worse, useless = {}, {}, [], []
         for horizon in before:
             old, new = before[horizon], after[horizon]
             ratio = np.sqrt(np.mean(new, axis=0) / np.maximum(np.mean(old, axis=0), 1e-300))
             falls[horizon] = 1.0 - float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-12)))))
-            largest[horizon] = 1.0 - float(np.min(ratio))
+            useful = np.mean(new, axis=0) < 1.0
+            largest[horizon] = 1.0 - float(np.min(ratio, where=useful, initial=1.0))
+            if not useful.any():
+                useless.append(horizon)
             unit = np.maximum(np.mean(old, axis=0), 1e-300)
             if worse_by_rank_test(np.sum(new / unit, axis=1), np.sum(old / unit, axis=1), settings):
                 worse.append(horizon)
         pairs = [[{h: before[h]}, {h: after[h]}] for h in long_horizons(before)]
         better = max(float(best_in_resamples(pair, settings)[1]) for pair in pairs)
-        return cls(falls, largest, tuple(worse), (better, settings.best_share))
+        return cls(falls, largest, tuple(worse), (better, settings.best_share), tuple(useless))
 
     def suffices(self, least: float) -> bool:
         """Whether long predictions improve by enough to matter, and none become worse."""
@@ -97,6 +106,8 @@ class PredictionGain:
             return f"increases the prediction error over {worse_horizon:g} s by {words}"
         if max(self.largest[h] for h in long_horizons(self.falls)) >= least:
             return f"reduces the prediction error in only {self.better[0]:.0%} of the resamples"
+        if longest in self.useless:
+            return f"with it, predictions over {longest:g} s are worse than no motion"
         largest = max(self.largest[longest], 0.0)
         return f"reduces the error of no velocity over {longest:g} s by {least:.0%} ({largest:.0%} at most)"
 

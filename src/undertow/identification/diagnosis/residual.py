@@ -113,12 +113,22 @@ class Characterisation:
         return self._description
 
     def _remove_next(self) -> bool:
-        term, peak = self._association.strongest(), self._peak()
-        if term is not None and term.chance > SETTINGS.chance:
-            term = None
+        term, peak = self._strongest(), self._peak()
         if peak is not None and (term is None or peak.excess > term.fall):
             return self._remove_line(peak)
         return term is not None and self._remove_term(term)
+
+    def _strongest(self) -> AssociatedTerm | None:
+        """The significant term that removes most, and does so beside the past of what remains.
+
+        A slow disturbance resembles a step, a trend, or the commands that oppose it.
+        """
+        lengths = [[s.functions.count for s in rows.data.segments] for rows, _, _ in self._force.rows]
+        while (term := self._association.strongest()) is not None and term.chance <= SETTINGS.chance:
+            if self._association.beside_past(term, lengths) <= SETTINGS.chance:
+                return term
+            self._association = self._association.excluding(term)
+        return None
 
     def _accept(self, after: Association) -> float:
         """Continue with the remainder; return the share removed, or zero if it is too small to report."""

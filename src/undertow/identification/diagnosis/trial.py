@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
-from undertow.identification.estimation.data import WeakData, Whitening, inverse_of
+from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.fitted import BETWEEN_RUNS, least_differing, may_differ
 from undertow.identification.estimation.residual import (
     Linearised,
@@ -35,6 +35,7 @@ from undertow.identification.estimation.weak_form import (
     start_fit,
     with_reestimated_noise,
 )
+from undertow.identification.estimation.whitening import Whitening
 from undertow.typing import Array
 
 from .bench import Bench, Score

@@ -18,10 +18,11 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run, between
 from undertow.typing import Array, Flags, Index
 
-from .data import Segment, WeakData, Whitening, overlap, residual_covariance
+from .data import Segment, WeakData, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
 from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
 from .test_functions import Entries, Supports, weighted_sums, weights_and_equation
+from .whitening import Whitening, overlap
 
 # --- parameters that have a value of their own in every run ---------------------------------------
 # A free parameter V_N@dive2 is the value of V_N in the run "dive2". All parameters of a model stand in one

@@ -13,11 +13,12 @@ from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
-from .data import Segment, WeakData, Whitening, clustered, prepare, summed_scores
+from .data import Segment, WeakData, clustered, prepare, summed_scores
 from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by_run
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, require_equations, squared
+from .whitening import OneStepPrediction, Whitening
 from .windows import Windows, cut
 
 
@@ -86,6 +87,23 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
         square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
     return np.asarray(level)
+
+
+def predicting_past(fit: WeakFit) -> tuple[WeakFit, OneStepPrediction]:
+    """The model fitted with all that it lacks as a disturbance that is predicted from its past.
+
+    Commands in a closed loop answer the disturbance, and so does the motion. Estimates are consistent if what
+    remains is independent of the past (Ljung 1999, chapter 13).
+    """
+    plain, rows = fit.whitening, len(fit.data.rows)
+    lengths = np.cumsum([s.functions.count for s in fit.data.segments])[:-1]
+    r = fit.at.r
+    for _ in range(SETTINGS.noise_rounds):
+        prediction = OneStepPrediction.of(np.split(r.reshape(-1, rows), lengths))
+        noise = [w.predicting(prediction) for w in plain]
+        fit = _gauss_newton(fit.model, fit.p, fit.data, noise, fit.disturbance, SETTINGS.most_steps)
+        r = whitened(fit.model.linearise(fit.data, fit.p), plain).r
+    return fit, prediction
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:

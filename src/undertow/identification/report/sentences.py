@@ -114,7 +114,8 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
     if examined and not any(f.severity == "mistake" for f in examined):
         advice = (
             "undertow doctor finds no mistake in the logs, so check the vehicle file: thrust per command, "
-            "places and directions of the thrusters, inertia"
+            "places and directions of the thrusters, inertia; unless a controller opposed a force that is "
+            "not logged, as in station keeping: no simulation with its commands alone can predict that"
         )
         if doubts := [f.clause() for f in examined if f.text.startswith("perhaps ")]:
             advice = f"undertow doctor is not sure of the logs ({'; '.join(doubts)}): try that first"

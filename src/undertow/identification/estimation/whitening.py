@@ -1,0 +1,186 @@
+"""Noise of the weak residual: that of the sensors, a disturbance, and what their past predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cholesky_banded
+from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
+
+from undertow.typing import Array
+
+from .test_functions import TestFunctions, solved
+
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """Settings of autoregressive models of whitened residuals."""
+
+    most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
+    rows_per_order: int = 10  # residuals for each coefficient
+
+
+PREDICTION = PredictionSettings()
+
+
+def banded(matrix: csr_array) -> Array:
+    """Lower half of a symmetric banded matrix in LAPACK's storage: a row for each diagonal."""
+    coordinates = matrix.tocoo()
+    offset = coordinates.row - coordinates.col
+    bands = np.zeros((int(np.max(offset, initial=0)) + 1, matrix.shape[0]))
+    lower = offset >= 0
+    bands[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
+    return bands
+
+
+def banded_sum(one: Array, other: Array) -> Array:
+    """Sum of two symmetric banded matrices in LAPACK's storage."""
+    total = np.zeros((max(len(one), len(other)), one.shape[1]))
+    total[: len(one)] = one
+    total[: len(other)] += other
+    return total
+
+
+def unbanded(bands: Array) -> csr_array:
+    """The whole symmetric matrix of LAPACK's banded storage."""
+    size = bands.shape[1]
+    lower = dia_array((bands, -np.arange(len(bands))), shape=(size, size)).tocsr()
+    lower.eliminate_zeros()
+    return csr_array(lower + tril(lower, -1).T)
+
+
+@dataclass(frozen=True)
+class OneStepPrediction:
+    """What the whitened residuals of an equation predict of the next one: autoregressive models.
+
+    coefficients: (order, e), of e equations, the nearest residual first.
+    scale: (e,), rms of the prediction errors.
+    """
+
+    coefficients: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, tables: Sequence[Array]) -> OneStepPrediction:
+        """From whitened residuals, a table (K, e) for each segment."""
+        models = [_autoregression([t[:, e] for t in tables]) for e in range(tables[0].shape[1])]
+        coefficients = np.array([np.pad(c, (0, PREDICTION.most_order - len(c))) for c, _ in models]).T
+        return cls(coefficients, np.array([scale for _, scale in models]))
+
+    @property
+    def order(self) -> int:
+        """How many residuals a prediction needs."""
+        used = np.flatnonzero(self.coefficients.any(axis=1))
+        return int(used[-1]) + 1 if len(used) else 0
+
+    def errors(self, table: Array) -> Array:
+        """Prediction errors of the rows (m, k) of one segment, of unit variance; zero for the first ones."""
+        rows = table.reshape(-1, len(self.scale), table.shape[1])
+        found = rows.copy()
+        for lag, c in enumerate(self.coefficients[: self.order], start=1):
+            found[lag:] -= c[:, None] * rows[:-lag]
+        found[: self.order] = 0.0
+        return np.asarray((found / self.scale[:, None]).reshape(table.shape))
+
+
+def _autoregression(series: Sequence[Array]) -> tuple[Array, float]:
+    """Coefficients of the autoregressive model that Schwarz's criterion prefers, and rms of its errors."""
+    most = PREDICTION.most_order
+    pieces = [np.lib.stride_tricks.sliding_window_view(s, most + 1) for s in series if len(s) > most]
+    rows = np.vstack(pieces)[:, ::-1] if pieces else np.zeros((0, most + 1))
+    count = len(rows)
+    least, coefficients, scale = np.inf, np.zeros(0), 1.0
+    for order in range(most + 1 if count > PREDICTION.rows_per_order * most else 1):
+        past = rows[:, 1 : order + 1]
+        c = np.linalg.lstsq(past, rows[:, 0], rcond=None)[0]
+        square = float(np.mean((rows[:, 0] - past @ c) ** 2)) if count else 1.0
+        criterion = count * np.log(max(square, 1e-300)) + order * np.log(max(count, 1))
+        if criterion < least:
+            least, coefficients, scale = criterion, np.asarray(c), float(np.sqrt(max(square, 1e-300)))
+    return coefficients, scale
+
+
+class Whitening:
+    """Turns residuals into ones of unit variance, by a banded Cholesky factor.
+
+    Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
+    channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
+    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: the
+    residual above the noise.
+    """
+
+    def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
+        self._bands = covariance, overlap
+        self._prediction: OneStepPrediction | None = None
+        self._factorise(intensity)
+
+    def _factorise(self, intensity: Array) -> None:
+        """Cholesky factor with a disturbance."""
+        measured, white = self._bands
+        if not np.any(intensity):
+            self._factor = _cholesky(measured)
+            return
+        spread, disturbance = np.sqrt(intensity), np.zeros_like(white)
+        for offset, diagonal in enumerate(white):
+            last = len(spread) - offset
+            disturbance[offset, :last] = spread[offset:] * diagonal[:last] * spread[:last]
+        self._factor = _cholesky(banded_sum(measured, disturbance))
+
+    @cached_property
+    def covariance(self) -> csr_array:
+        """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
+        return unbanded(self._bands[0])
+
+    def with_disturbance(self, intensity: Array) -> Whitening:
+        """The same noise with another disturbance."""
+        other = copy(self)
+        other._factorise(intensity)
+        return other
+
+    def __call__(self, right: Array) -> Array:
+        """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
+        table = np.asarray(right)
+        found = solved(self._factor, table.reshape(len(table), -1))
+        if self._prediction is not None:
+            found = self._prediction.errors(found)
+        return found.reshape(table.shape)
+
+    def predicting(self, prediction: OneStepPrediction) -> Whitening:
+        """The same less what the residuals before predict of each one."""
+        other = copy(self)
+        other._prediction = prediction
+        return other
+
+    def noise_sample(self, rng: np.random.Generator) -> Array:
+        """Whitened channel noise alone: one draw, shape (m,)."""
+        factor = _cholesky(self._bands[0])
+        draw = np.asarray(rng.standard_normal(factor.shape[1]))
+        return self(_times(factor, draw))
+
+
+def _cholesky(bands: Array) -> Array:
+    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
+    banded = bands.copy()
+    # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
+    banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+    return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+
+
+def _times(factor: Array, vector: Array) -> Array:
+    """Product of a lower banded factor and a vector."""
+    size = factor.shape[1]
+    result = np.zeros(size)
+    for offset, diagonal in enumerate(factor):
+        result[offset:] += diagonal[: size - offset] * vector[: size - offset]
+    return result
+
+
+def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
+    """Covariance of the weak residual under a white disturbance of unit intensity, in bands."""
+    step = np.append(np.diff(t), 1.0)
+    gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
+    return banded(csr_array(kron(gram, eye_array(equations))))

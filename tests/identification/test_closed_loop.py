@@ -1,0 +1,144 @@
+"""Closed loops: commands that oppose a disturbance are no evidence of an effect of commands."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tests.identification.test_evidence import _NO_EVIDENCE
+from undertow.identification.diagnosis.bench import Bench, open_bench
+from undertow.identification.diagnosis.candidates import Candidate
+from undertow.identification.diagnosis.evidence import FoundEffect, compare_scores, p_value_beside_past
+from undertow.identification.diagnosis.grading import feedback_doubt
+from undertow.identification.diagnosis.prediction_gain import PredictionGain
+from undertow.identification.diagnosis.trial import try_candidate
+from undertow.identification.estimation.data import prepare
+from undertow.identification.estimation.whitening import OneStepPrediction
+from undertow.identification.logs.run import Run
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Vehicle
+
+STEP, SECONDS = 0.1, 150.0
+MASS, DRAG = 18.0, 6.0  # kg with added mass, kg/s
+RMS, LASTING = 4.0, 8.0  # of the disturbance, N and s
+VEHICLE = """
+schema = "undertow/vehicle/1"
+name = "float"
+degrees_of_freedom = ["surge"]
+signs = "sname"
+
+[effects.rigid_body]
+m = "12 kg"
+
+[effects.added_mass]
+X_udot = { value = -6.0, estimate = true, sigma = 1.0 }
+
+[effects.linear_damping]
+X_u = { value = -6.0, estimate = true, sigma = 2.0 }
+
+[[thrusters]]
+name = "jet"
+position = ["0 m", "0 m", "0 m"]
+direction = [1, 0, 0]
+limit = "40 N"
+"""
+
+
+def _run(seed: int, dead: float, *, held: bool) -> Run:
+    """A vehicle in a slow disturbance; it is held in place, or driven by steps of the command.
+
+    dead: dead band of the thruster, N.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, SECONDS, STEP)
+    x, u, d = np.zeros((3, len(t)))
+    command = np.repeat(rng.uniform(-6.0, 6.0, len(t) // 30 + 1), 30)[: len(t)]
+    stay = np.exp(-STEP / LASTING)
+    for i in range(len(t) - 1):
+        if held:
+            command[i] = np.clip(-30.0 * x[i] - 40.0 * u[i], -40.0, 40.0)
+        thrust = np.sign(command[i]) * max(abs(command[i]) - dead, 0.0)
+        u[i + 1] = u[i] + STEP / MASS * (thrust + d[i] - DRAG * u[i])
+        x[i + 1] = x[i] + STEP * 0.5 * (u[i] + u[i + 1])
+        d[i + 1] = stay * d[i] + RMS * np.sqrt(1.0 - stay**2) * rng.standard_normal()
+    noise = rng.standard_normal((2, len(t)))
+    channels = {"x": x + 0.01 * noise[0], "u": u + 0.005 * noise[1], "jet": command}
+    return Run(f"{seed}", t, channels, sha256=f"{seed}")
+
+
+@cache
+def _vehicle() -> Vehicle:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "float.toml"
+        path.write_text(VEHICLE, encoding="utf-8")
+        return load_vehicle(path)
+
+
+@cache
+def _dead_band(dead: float, *, held: bool) -> tuple[FoundEffect, Bench]:
+    """The dead band as a candidate for a model that has none."""
+    vehicle = _vehicle()
+    runs = [_run(seed, dead, held=held) for seed in range(6)]
+    train = prepare(runs[:3], vehicle)
+    bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
+    candidate = Candidate(catalogue()["thruster_deadband"], vehicle)
+    start = bench.base.values | {p.name: 2.0 for p in candidate.parameters}
+    return FoundEffect(try_candidate(candidate, bench, start), *_NO_EVIDENCE), bench
+
+
+def test_a_controller_that_opposes_a_disturbance_looks_like_a_dead_band() -> None:
+    finding, bench = _dead_band(0.0, held=True)
+    usual = compare_scores(bench.base_score, finding.trial.score, bench.test)
+    assert usual.p_value < 0.01
+    assert finding.trial.fit.values["deadband_width"] > RMS
+    assert p_value_beside_past(finding, bench) > 0.1
+    assert "oppose a disturbance" in feedback_doubt(finding, bench)
+
+
+def test_inertia_and_drag_are_found_beside_the_past_of_the_disturbance() -> None:
+    """Under white noise, thrust that does not move a vehicle is thrust on a much heavier one."""
+    _, bench = _dead_band(0.0, held=True)
+    white, coloured = (-b.base.values["X_udot"] for b in (bench, bench.beside_past))
+    assert white > 60.0
+    assert coloured < 0.5 * white
+
+
+def test_a_dead_band_shows_beside_the_past_of_the_disturbance() -> None:
+    finding, bench = _dead_band(2.5, held=False)
+    assert finding.trial.fit.values["deadband_width"] == pytest.approx(2.5, rel=0.25)
+    assert p_value_beside_past(finding, bench) < 1e-3
+    assert feedback_doubt(finding, bench) == ""
+
+
+def test_what_makes_a_vehicle_respond_less_is_no_better_prediction() -> None:
+    """With commands that oppose an unknown force, a simulation is worse than no motion at all."""
+    before = {h: np.full((20, 2), 3.6) for h in (2.0, 4.0, 14.0)}
+    gain = PredictionGain.of(before, {h: 0.7 * squares for h, squares in before.items()})
+    assert gain.useless == (2.0, 4.0, 14.0)
+    assert not gain.suffices(0.1)
+    assert not gain.helps(0.1)
+    assert "worse than no motion" in gain.shortfall(0.1)
+    assert PredictionGain.of(before, {h: 0.2 * squares for h, squares in before.items()}).suffices(0.1)
+
+
+def test_one_step_predictions_leave_white_noise() -> None:
+    """A slow force, narrow-band waves and white noise, each with an order of its own."""
+    rng = np.random.default_rng(6)
+    e = rng.standard_normal((3, 2, 2000))
+    slow = lfilter([1.0], [1.0, -0.9], e[0])
+    waves = lfilter([1.0], [1.0, -2.0 * 0.97 * np.cos(0.5), 0.97**2], e[1])
+    tables = [np.stack([slow[i], waves[i], e[2, i]], axis=1) for i in range(2)]
+    found = OneStepPrediction.of(tables)
+    assert found.order >= 2
+    assert found.coefficients[0, 0] == pytest.approx(0.9, abs=0.05)
+    assert found.coefficients[:2, 1] == pytest.approx([2.0 * 0.97 * np.cos(0.5), -(0.97**2)], abs=0.05)
+    assert not found.coefficients[:, 2].any()
+    errors = found.errors(tables[1].reshape(-1, 1)).reshape(-1, 3)[found.order :]
+    assert np.mean(errors**2, axis=0) == pytest.approx(1.0, rel=0.1)
+    assert np.mean(errors[1:] * errors[:-1], axis=0) == pytest.approx(0.0, abs=0.07)
