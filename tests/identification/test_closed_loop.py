@@ -98,7 +98,7 @@ def test_a_controller_that_opposes_a_disturbance_looks_like_a_dead_band() -> Non
     assert usual.p_value < 0.01
     assert finding.trial.fit.values["deadband_width"] > RMS
     assert p_value_beside_past(finding, bench) > 0.1
-    assert "oppose a disturbance" in feedback_doubt(finding, bench)
+    assert "oppose a disturbance" in feedback_doubt(finding, bench, among=1)
 
 
 def test_inertia_and_drag_are_found_beside_the_past_of_the_disturbance() -> None:
@@ -112,8 +112,8 @@ def test_inertia_and_drag_are_found_beside_the_past_of_the_disturbance() -> None
 def test_a_dead_band_shows_beside_the_past_of_the_disturbance() -> None:
     finding, bench = _dead_band(2.5, held=False)
     assert finding.trial.fit.values["deadband_width"] == pytest.approx(2.5, rel=0.25)
-    assert p_value_beside_past(finding, bench) < 1e-3
-    assert feedback_doubt(finding, bench) == ""
+    assert p_value_beside_past(finding, bench) < 3e-4
+    assert feedback_doubt(finding, bench, among=30) == ""
 
 
 def test_what_makes_a_vehicle_respond_less_is_no_better_prediction() -> None:
@@ -128,17 +128,18 @@ def test_what_makes_a_vehicle_respond_less_is_no_better_prediction() -> None:
 
 
 def test_one_step_predictions_leave_white_noise() -> None:
-    """A slow force, narrow-band waves and white noise, each with an order of its own."""
+    """A slow force, narrow-band waves in two equations, and noise that follows one of them."""
     rng = np.random.default_rng(6)
     e = rng.standard_normal((3, 2, 2000))
     slow = lfilter([1.0], [1.0, -0.9], e[0])
     waves = lfilter([1.0], [1.0, -2.0 * 0.97 * np.cos(0.5), 0.97**2], e[1])
-    tables = [np.stack([slow[i], waves[i], e[2, i]], axis=1) for i in range(2)]
+    late = e[2] + 0.5 * np.concatenate([np.zeros((2, 1)), waves[:, :-1]], axis=1)
+    tables = [np.stack([slow[i], waves[i], late[i]], axis=1) for i in range(2)]
     found = OneStepPrediction.of(tables)
-    assert found.order >= 2
-    assert found.coefficients[0, 0] == pytest.approx(0.9, abs=0.05)
-    assert found.coefficients[:2, 1] == pytest.approx([2.0 * 0.97 * np.cos(0.5), -(0.97**2)], abs=0.05)
-    assert not found.coefficients[:, 2].any()
+    assert found.order == 2
+    assert found.coefficients[0, 0] == pytest.approx([0.9, 0.0, 0.0], abs=0.06)
+    assert found.coefficients[:, 1, 1] == pytest.approx([2.0 * 0.97 * np.cos(0.5), -(0.97**2)], abs=0.05)
+    assert found.coefficients[0, 2] == pytest.approx([0.0, 0.5, 0.0], abs=0.06)
     errors = found.errors(tables[1].reshape(-1, 1)).reshape(-1, 3)[found.order :]
     assert np.mean(errors**2, axis=0) == pytest.approx(1.0, rel=0.1)
     assert np.mean(errors[1:] * errors[:-1], axis=0) == pytest.approx(0.0, abs=0.07)

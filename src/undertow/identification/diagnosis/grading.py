@@ -88,16 +88,16 @@ def slow_disturbance_doubt(finding: FoundEffect, settings: Settings = DEFAULT) -
     return f"a slow disturbance would score as well by chance in {finding.slow_p_value:.1%} of such logs"
 
 
-def feedback_doubt(finding: FoundEffect, bench: Bench) -> str:
+def feedback_doubt(finding: FoundEffect, bench: Bench, among: int) -> str:
     """That an effect of the commands may be the response of a controller, in words; empty if not.
 
     Commands in a closed loop oppose the disturbance, and look like thrust that is lost or late. The
-    disturbance itself can be predicted from its past.
+    disturbance itself can be predicted from its past. The effect is the best of so many candidates.
     """
     if finding.trial.candidate.effect.family != "actuation":
         return ""
-    chance = p_value_beside_past(finding, bench)
-    if chance < bench.settings.comparison_level:
+    chance = min(1.0, among * p_value_beside_past(finding, bench))
+    if chance < bench.settings.false_alarm_rate:
         return ""
     return (
         "commands that oppose a disturbance look like this: beside one that is predicted from its past, it "
@@ -365,7 +365,7 @@ class Grading:
             or self._replaces_added_mass(finding)
             or size_inconsistency(finding, bench, self._later)
             or self._unexplained_variables(finding)
-            or feedback_doubt(finding, bench)
+            or feedback_doubt(finding, bench, len(self._round.findings))
         ):
             return words
         # Last, for unlike the others it does not refute a rival of another effect.

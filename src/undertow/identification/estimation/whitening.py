@@ -21,7 +21,7 @@ class PredictionSettings:
     """Settings of autoregressive models of whitened residuals."""
 
     most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
-    rows_per_order: int = 10  # residuals for each coefficient
+    rows_per_coefficient: int = 10  # residuals of an equation for each of its coefficients
 
 
 PREDICTION = PredictionSettings()
@@ -55,9 +55,9 @@ def unbanded(bands: Array) -> csr_array:
 
 @dataclass(frozen=True)
 class OneStepPrediction:
-    """What the whitened residuals of an equation predict of the next one: autoregressive models.
+    """What the whitened residuals of all equations predict of the next ones: a vector autoregressive model.
 
-    coefficients: (order, e), of e equations, the nearest residual first.
+    coefficients: (order, e, e), of each of e equations in all of them, the nearest residuals first.
     scale: (e,), rms of the prediction errors.
     """
 
@@ -67,41 +67,42 @@ class OneStepPrediction:
     @classmethod
     def of(cls, tables: Sequence[Array]) -> OneStepPrediction:
         """From whitened residuals, a table (K, e) for each segment."""
-        models = [_autoregression([t[:, e] for t in tables]) for e in range(tables[0].shape[1])]
-        coefficients = np.array([np.pad(c, (0, PREDICTION.most_order - len(c))) for c, _ in models]).T
-        return cls(coefficients, np.array([scale for _, scale in models]))
+        most, size = PREDICTION.most_order, tables[0].shape[1]
+        pieces = [
+            np.lib.stride_tricks.sliding_window_view(t, most + 1, axis=0) for t in tables if len(t) > most
+        ]
+        rows = np.concatenate(pieces)[:, :, ::-1] if pieces else np.zeros((0, size, most + 1))
+        now, past = rows[:, :, 0], rows[:, :, 1:].transpose(0, 2, 1)
+        count, least = len(rows), np.inf
+        found = cls(np.zeros((0, size, size)), np.ones(size))
+        for order in range(most + 1):
+            if count < PREDICTION.rows_per_coefficient * order * size + 1:
+                break
+            known = past[:, :order].reshape(count, -1)
+            c = np.linalg.lstsq(known, now, rcond=None)[0]
+            scale = np.sqrt(np.maximum(np.mean((now - known @ c) ** 2, axis=0), 1e-300))
+            # Schwarz's criterion, per equation
+            criterion = 2.0 * count * np.mean(np.log(scale)) + order * size * np.log(count)
+            if criterion < least:
+                least, found = (
+                    criterion,
+                    cls(np.array(c.reshape(order, size, size).swapaxes(1, 2), dtype=float), scale),
+                )
+        return found
 
     @property
     def order(self) -> int:
         """How many residuals a prediction needs."""
-        used = np.flatnonzero(self.coefficients.any(axis=1))
-        return int(used[-1]) + 1 if len(used) else 0
+        return len(self.coefficients)
 
     def errors(self, table: Array) -> Array:
         """Prediction errors of the rows (m, k) of one segment, of unit variance; zero for the first ones."""
         rows = table.reshape(-1, len(self.scale), table.shape[1])
         found = rows.copy()
-        for lag, c in enumerate(self.coefficients[: self.order], start=1):
-            found[lag:] -= c[:, None] * rows[:-lag]
+        for lag, c in enumerate(self.coefficients, start=1):
+            found[lag:] -= np.einsum("ef,tfk->tek", c, rows[:-lag])
         found[: self.order] = 0.0
         return np.asarray((found / self.scale[:, None]).reshape(table.shape))
-
-
-def _autoregression(series: Sequence[Array]) -> tuple[Array, float]:
-    """Coefficients of the autoregressive model that Schwarz's criterion prefers, and rms of its errors."""
-    most = PREDICTION.most_order
-    pieces = [np.lib.stride_tricks.sliding_window_view(s, most + 1) for s in series if len(s) > most]
-    rows = np.vstack(pieces)[:, ::-1] if pieces else np.zeros((0, most + 1))
-    count = len(rows)
-    least, coefficients, scale = np.inf, np.zeros(0), 1.0
-    for order in range(most + 1 if count > PREDICTION.rows_per_order * most else 1):
-        past = rows[:, 1 : order + 1]
-        c = np.linalg.lstsq(past, rows[:, 0], rcond=None)[0]
-        square = float(np.mean((rows[:, 0] - past @ c) ** 2)) if count else 1.0
-        criterion = count * np.log(max(square, 1e-300)) + order * np.log(max(count, 1))
-        if criterion < least:
-            least, coefficients, scale = criterion, np.asarray(c), float(np.sqrt(max(square, 1e-300)))
-    return coefficients, scale
 
 
 class Whitening:
