@@ -88,7 +88,8 @@ class Plant:
         nu' f = 0 gives F' nu = -f. Hence (F - F') nu = 3 f: of all matrices that give the same force, a third
         of that difference is skew-symmetric.
         """
-        slope = _jacobian(self._moving, self.nu)
+        # Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one.
+        slope = self._moving.jacobian(self.nu).replace(sm.DiracDelta, lambda *_: _ZERO)
         return (slope.T - slope) / 3
 
     @property
@@ -175,12 +176,14 @@ class Plant:
 
     # --- sorting ------------------------------------------------------------------------------
     def _assign(self, effect: Wrench, wrench: sm.Matrix) -> None:
-        by_input = self._slope_in_inputs(wrench)
+        # Derivative in the inputs, of which there may be none.
+        by_input = wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
         reason = self._reason_left_out(effect, wrench, by_input)
         if reason:
             self.left_out[effect.id] = reason
             if self.speed and reason == WITH_MOTION:
-                self._inputs += self._allocation_at_speed(by_input)
+                still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
+                self._inputs += by_input.xreplace(still | {symbol("u"): sm.Float(self.speed)})
                 self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
@@ -198,15 +201,6 @@ class Plant:
         self._damping += damping
         if effect.workless:
             self._moving += moving
-
-    def _slope_in_inputs(self, wrench: sm.Matrix) -> sm.Matrix:
-        """Derivative in the inputs, of which there may be none."""
-        return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
-
-    def _allocation_at_speed(self, slope: sm.Matrix) -> sm.Matrix:
-        """An allocation at the speed ahead, on an even keel, inputs at zero."""
-        still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
-        return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
     def _reason_left_out(self, effect: Wrench, wrench: sm.Matrix, by_input: sm.Matrix) -> str:
         """Why a wrench does not fit into the matrices, or nothing."""
@@ -276,11 +270,6 @@ def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
         if not set(effect.requires) <= ids:
             left_out[effect.id] = f"it needs {', '.join(effect.requires)}"
     return replace(vehicle, effects=tuple(e for e in kept if e.id not in left_out))
-
-
-def _jacobian(force: sm.Matrix, by: sm.Matrix) -> sm.Matrix:
-    """Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one."""
-    return force.jacobian(by).replace(sm.DiracDelta, lambda *_: _ZERO)
 
 
 def _damping(force: sm.Matrix, nu: sm.Matrix) -> sm.Matrix | None:

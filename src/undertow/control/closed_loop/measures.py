@@ -50,10 +50,7 @@ def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
         return None
     times = t[rising] - swing[rising] * (t[rising + 1] - t[rising]) / (swing[rising + 1] - swing[rising])
     amplitudes = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
-    return _cycle_of(np.diff(times), amplitudes, least)
-
-
-def _cycle_of(periods: np.ndarray, amplitudes: np.ndarray, least: float) -> Cycle | None:
+    periods = np.diff(times)
     spread = float(periods.std())
     if amplitudes[-1] < least or spread > _REGULAR * periods.mean():
         return None
@@ -269,17 +266,14 @@ class Measures:
         if count < len(t):
             self.diverged = divergence(self._states, rows.x[count], self._start, float(t[count]))
         if count:
-            self._add_rows(t, rows, count)
+            errors = self._errors_from(self._goal, rows.x[:count])
+            for name, error in errors.items():
+                self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
+            passed = np.flatnonzero(rows.s[:count, -1] > 0)
+            if self.gate is None and passed.size:
+                self.gate = float(t[passed[0]])
+            self._commands.add(rows.u[:count], self._scenario.dt)
         return count
-
-    def _add_rows(self, t: np.ndarray, rows: Rows, count: int) -> None:
-        errors = self._errors_from(self._goal, rows.x[:count])
-        for name, error in errors.items():
-            self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
-        passed = np.flatnonzero(rows.s[:count, -1] > 0)
-        if self.gate is None and passed.size:
-            self.gate = float(t[passed[0]])
-        self._commands.add(rows.u[:count], self._scenario.dt)
 
     def errors(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Desired less true pose over rows of states, along and across the track, too."""

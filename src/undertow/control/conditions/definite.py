@@ -31,12 +31,11 @@ class ProofSettings:
 SETTINGS = ProofSettings()
 
 
-def mean_cholesky(middle: Array, place: Any, count: int) -> Array:
-    """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
-    total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
+def _mean_cholesky(middle: Array, place: Any) -> Array:
+    """Cholesky factors of the mean of the matrices at each place."""
+    total = np.zeros((place.max() + 1, *middle.shape[1:]))
     np.add.at(total, place, middle)
-    total[many == 0] = np.eye(middle.shape[-1])
-    return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
+    return np.asarray(np.linalg.cholesky(total / np.bincount(place)[:, None, None]))
 
 
 def _upper_bound(offsets: Array) -> Array:
@@ -172,7 +171,7 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, bu
     if len(pending):
         used, places = np.unique(place[pending], return_inverse=True)
         # Triangular, so regular for certain: in these states rows are near the identity.
-        inverse = np.asarray(np.linalg.inv(mean_cholesky(middle[pending], places, len(used))), dtype=float)
+        inverse = np.asarray(np.linalg.inv(_mean_cholesky(middle[pending], places)), dtype=float)
         rows = lower_bound(_congruent(rest[pending], inverse[places]))
         trees = [VertexTree(_congruent_lower(e[used], inverse[:, None])) for e in ends]
         _branch(rows, places, trees, box[pending], proved, budget)

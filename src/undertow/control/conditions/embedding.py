@@ -200,7 +200,11 @@ class Embedding:
         self.integral = "K_I" in problem.values
         self.size = (3 if self.integral else 2) * self.n
         rotation, unit = rotation_of(plant), sm.eye(len(self.translations))
-        self._in_body_frame = self._gains_commute(rotation)
+        diagonals = [np.diag(K)[self.translations] for K in self._gains]
+        pairs = product(range(rotation.rows), repeat=2)
+        self._in_body_frame = all(
+            rotation[i, j] == 0 or all(k[i] == k[j] for k in diagonals) for i, j in pairs if i != j
+        )
         self._frame_rotation, rest_rotation = (rotation, unit) if self._in_body_frame else (unit, rotation)
         L = sm.eye(self.n)
         for i, a in enumerate(self.translations):
@@ -215,10 +219,6 @@ class Embedding:
         self.angles = tuple(a for a in ANGLES if symbol(a) in (L.free_symbols | N.free_symbols))
 
     # --- frames -------------------------------------------------------------------------------
-    def _gains_commute(self, rotation: sm.Matrix) -> bool:
-        diagonals = [np.diag(K)[self.translations] for K in self._gains]
-        pairs = product(range(rotation.rows), repeat=2)
-        return all(rotation[i, j] == 0 or all(k[i] == k[j] for k in diagonals) for i, j in pairs if i != j)
 
     @property
     def frame_name(self) -> str:

@@ -109,7 +109,10 @@ def _setpoint_fault(commands: Commands) -> str:
 def _pd(commands: Commands) -> Region:
     """V = nu' M nu/2 + e' K_P e/2 never rises while angles are in range and damping outweighs its losses."""
     problem = commands.problem
-    upper = _tilt_level(problem)
+    # The level of V that keeps roll and pitch within what conditions hold for.
+    angles = set(problem.attitudes.angles(False)) - {"psi"}
+    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
+    upper = min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
     falling = _largest_level(_damping_stays_positive(problem), upper)
     if falling == 0.0:
         return _no_region("damping at speed is not proved to be positive at any speed")
@@ -131,13 +134,6 @@ def _pd(commands: Commands) -> Region:
 def _pd_speeds(problem: Problem, level: float) -> Array:
     inverse = np.max([np.diag(np.linalg.inv(m)) for m in inertias(problem.sets)], axis=0)
     return np.asarray(np.sqrt(2 * level * inverse))
-
-
-def _tilt_level(problem: Problem) -> float:
-    """The level of V that keeps roll and pitch within what conditions hold for."""
-    angles = set(problem.attitudes.angles(False)) - {"psi"}
-    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
-    return min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
 
 
 def _pd_bounds(commands: Commands, level: float) -> Array:

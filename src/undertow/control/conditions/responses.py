@@ -115,10 +115,6 @@ class Responses:
         self.radius = cosine.radius + sine.radius + PROOFS.level * self.magnitude
 
     @property
-    def _exponents(self) -> Array:
-        return np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag)
-
-    @property
     def envelope(self) -> Array:
         """Bound on each response at any time, times the decay of the slowest mode, (signals, states)."""
         return np.asarray(self.magnitude.sum(axis=0))
@@ -138,7 +134,9 @@ class Responses:
         amplitudes = Amplitudes(
             *(m[:, signals, states].T for m in (self.amplitude, self.magnitude, self.radius))
         )
-        return bounds_within(amplitudes, self._exponents, self.times)
+        return bounds_within(
+            amplitudes, np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag), self.times
+        )
 
 
 class Amplitudes(NamedTuple):

@@ -38,7 +38,7 @@ from .attitude import (
     margin_bound_over_cases,
     transposed,
 )
-from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE, Condition
+from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE
 from .commands import numeric_matrix, sizes_and_signs, terms_of
 from .problem import Problem, Span, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
@@ -151,32 +151,26 @@ def _law_rows(gains: GainSet, mission: Mission, tilt: float) -> Iterator[Mission
     derived = [c for c in CONDITIONS[gains.law.id] if c.form == "derived" and not c.uses and not c.uses_iota]
     about = f"{_SLIDING_ABOUT if gains.law.id not in ('pd', 'pid') else ''} {_ASSUMPTION}".strip()
     for condition in derived:
-        yield _plain_row(problem, condition, f"{condition.about} {about}")
+        margin = problem.margin(condition, problem.sets[0], None)
+        yield _row(
+            condition.id, condition.matrices, f"{condition.about} {about}", margin, margin > 0, "gains alone"
+        )
     # S' S/2 of sliding modes does not contain M.
     if gains.law.id in ("pd", "pid") and any(v in gains.plant.M.free_symbols for v in gains.plant.reversing):
-        yield _reversing_row(gains)
+        names = ", ".join(map(str, gains.plant.reversing))
+        yield MissionRow(
+            "M",
+            "M does not change along the motion",
+            "V is continuous only while M keeps one set of parameters.",
+            _SOURCE,
+            0.0,
+            UNPROVED,
+            f"M changes with the sign of {names}: V may jump where it does",
+        )
     if gains.law.id == "pd":
         yield _pd_row(problem, mission)
     if gains.law.id == "pid":
         yield from _pid_rows(problem, mission)
-
-
-def _plain_row(problem: Problem, condition: Condition, about: str) -> MissionRow:
-    margin = problem.margin(condition, problem.sets[0], None)
-    return _row(condition.id, condition.matrices, about, margin, margin > 0, "gains alone")
-
-
-def _reversing_row(gains: GainSet) -> MissionRow:
-    names = ", ".join(map(str, gains.plant.reversing))
-    return MissionRow(
-        "M",
-        "M does not change along the motion",
-        "V is continuous only while M keeps one set of parameters.",
-        _SOURCE,
-        0.0,
-        UNPROVED,
-        f"M changes with the sign of {names}: V may jump where it does",
-    )
 
 
 def _row(

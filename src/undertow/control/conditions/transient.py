@@ -472,7 +472,15 @@ class TubeSearch:
 
     def __init__(self, motion: PoseLoop, box: Array) -> None:
         self.motion, self.starts = motion, StartBox(box, motion.plane)
-        self.caps = _caps(motion, box)
+        # Caps on the angles, from small to large.
+        most = [
+            SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles
+        ]
+        own = box[motion.angle_indices]
+        own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
+        self.caps = np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(
+            len(SETTINGS.caps), -1
+        )
         self.slopes = motion.derivatives(self.caps)
 
     def cover(
@@ -504,14 +512,6 @@ class TubeSearch:
             held = held & _within_limits(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
             found += _as_transients(tubes, B, largest, held)
         return [r for r, there in zip(ranges, held, strict=True) if not there]
-
-
-def _caps(motion: PoseLoop, box: Array) -> Array:
-    """Caps on the angles, from small to large."""
-    most = [SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles]
-    own = box[motion.angle_indices]
-    own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
-    return np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
 
 
 def _within_limits(motion: PoseLoop, largest: Array, held: Flags, *, refuse: bool) -> Flags:

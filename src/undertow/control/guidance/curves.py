@@ -51,7 +51,14 @@ class SplineOfSight(LineOfSight):
     @cached_property
     def curve(self) -> CubicSpline:
         """The path, by nearly its arc length."""
-        return _curve(self.points)
+        # A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly.
+        lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        for _ in range(SETTINGS.rounds):
+            knots = np.concatenate([[0.0], np.cumsum(lengths)])
+            curve = CubicSpline(knots, self.points, bc_type="natural")
+            inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.samples_per_piece)
+            lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
+        return curve
 
     @property
     def knots(self) -> np.ndarray:
@@ -180,14 +187,3 @@ def _relative_to_tangent(
     incline_rate = (down * d_horizontal - second[2] * flat) / (flat**2 + down**2) / flat
     to_end = ca.norm_2(place - last)
     return Leg(course, incline, w, end, cross, z * ca.cos(incline), to_end, point[2], curvature, incline_rate)
-
-
-def _curve(points: np.ndarray) -> CubicSpline:
-    """A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly."""
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    for _ in range(SETTINGS.rounds):
-        knots = np.concatenate([[0.0], np.cumsum(lengths)])
-        curve = CubicSpline(knots, points, bc_type="natural")
-        inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.samples_per_piece)
-        lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
-    return curve

@@ -349,7 +349,16 @@ class LawSystem:
 
         Integrals supply what the trim needs; a law without them keeps a steady-state error.
         """
-        self._check(trim)
+        law = self.gains.law
+        if law.id in DISCONTINUOUS:
+            raise UndertowError(
+                f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
+                "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
+            )
+        if trim.turning:
+            raise UndertowError(
+                f"'{self.gains.name}' holds a pose and cannot hold a turn: use a trim without r"
+            )
         n = len(self.references)
         y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.actuated)
@@ -363,18 +372,6 @@ class LawSystem:
             else:
                 ref = ref + np.linalg.pinv(slope[:, :n]) @ missing
         return ref, y, z
-
-    def _check(self, trim: Trim) -> None:
-        law = self.gains.law
-        if law.id in DISCONTINUOUS:
-            raise UndertowError(
-                f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
-                "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
-            )
-        if trim.turning:
-            raise UndertowError(
-                f"'{self.gains.name}' holds a pose and cannot hold a turn: use a trim without r"
-            )
 
 
 def as_controller(gains: GainSet, *, units: bool = False) -> ct.NonlinearIOSystem:
