@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -247,7 +247,12 @@ class Fmu:
             parent = structure if self.version == "3.0" else _listed(structure, name)
             for reference in references:
                 needs = None if name == "InitialUnknown" else self._dependencies[reference]
-                _unknown(parent, name, reference, needs, self.version)
+                third = self.version == "3.0"
+                key, shift = ("valueReference", 0) if third else ("index", 1)
+                found = {key: str(reference + shift)}
+                if needs is not None:
+                    found["dependencies"] = " ".join(str(i + shift) for i in needs)
+                ET.SubElement(parent, name if third else "Unknown", found)
 
     @cached_property
     def _dependencies(self) -> dict[int, list[int]]:
@@ -335,17 +340,6 @@ def _scalar(parent: ET.Element, reference: int, variable: Variable) -> None:
 def _listed(structure: ET.Element, name: str) -> ET.Element:
     lists = {"ContinuousStateDerivative": "Derivatives", "Output": "Outputs"}
     return ET.SubElement(structure, lists.get(name, "InitialUnknowns"))
-
-
-def _unknown(
-    parent: ET.Element, name: str, reference: int, needs: Sequence[int] | None, version: Version
-) -> None:
-    third = version == "3.0"
-    key, shift = ("valueReference", 0) if third else ("index", 1)
-    found = {key: str(reference + shift)}
-    if needs is not None:
-        found["dependencies"] = " ".join(str(i + shift) for i in needs)
-    ET.SubElement(parent, name if third else "Unknown", found)
 
 
 def _unit(parent: ET.Element, unit: str) -> None:

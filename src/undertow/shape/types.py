@@ -225,7 +225,10 @@ def _torpedo(size: MainDimensions) -> Made:
 def _glider(size: MainDimensions) -> Made:
     mesh = _spindle(size)
     fins = _fin_force(size)
-    wing, hull = _wing_lift(size), _body_lift(size)
+    # Lift per angle of attack and speed squared, kg/m: Helmbold's slope with sweep.
+    ratio = _RULES.wing_span**2 / _RULES.wing_area
+    slope = 2 * pi * ratio / (2 + sqrt(4 + 2 * ratio**2))
+    wing, hull = size.density / 2 * _RULES.wing_area * size.length**2 * slope, _body_lift(size)
     plan = f"wings of {_RULES.wing_area:g} L^2 and span {_RULES.wing_span:g} L, swept by 45 degrees"
     arm = _RULES.body_lift_place * size.length
     upright = [
@@ -313,13 +316,6 @@ def _body_lift(size: MainDimensions) -> float:
     """Side force of a body of revolution per drift angle and speed squared, kg/m."""
     per_angle = _RULES.body_lift * 180 / pi * size.length / _diameter(size)
     return size.density / 2 * _diameter(size) ** 2 * per_angle
-
-
-def _wing_lift(size: MainDimensions) -> float:
-    """Lift per angle of attack and speed squared, kg/m: Helmbold's slope with sweep."""
-    ratio = _RULES.wing_span**2 / _RULES.wing_area
-    slope = 2 * pi * ratio / (2 + sqrt(4 + 2 * ratio**2))
-    return size.density / 2 * _RULES.wing_area * size.length**2 * slope
 
 
 def _slender_lift(size: MainDimensions, fins: float, across: str) -> Iterator[str]:
