@@ -65,8 +65,6 @@ class Fmu:
     start at zero unless they are set, and every parameter of the model is one of the unit. All are SI, NED
     and forward-starboard-down. Co-simulation integrates as `undertow.codegen.simulate.Simulator` does.
 
-    References
-    ----------
     Modelica Association, Functional Mock-up Interface, versions 2.0 and 3.0, https://fmi-standard.org.
     """
 

@@ -42,8 +42,6 @@ class MjcfSettings:
 class Mjcf(Body):
     """A vehicle as a model for MuJoCo, east-north-up and forward-left-up.
 
-    References
-    ----------
     MuJoCo documentation, XML reference (``body/gravcomp``, ``body/inertial``, ``actuator/motor``),
     https://mujoco.readthedocs.io/en/stable/XMLreference.html
     """

@@ -34,8 +34,6 @@ class SdfSettings:
 class Sdf(Body):
     """A vehicle as a world for `gz sim`, east-north-up and forward-left-up.
 
-    References
-    ----------
     Gazebo Sim, systems Hydrodynamics, Buoyancy and Thruster, https://gazebosim.org/api/sim; SDFormat 1.10,
     ``fluid_added_mass``, http://sdformat.org/spec.
     """

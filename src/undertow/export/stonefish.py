@@ -32,8 +32,6 @@ class StonefishSettings:
 class Stonefish(Body):
     """A vehicle as a scenario for Stonefish, NED and forward-starboard-down.
 
-    References
-    ----------
     Stonefish documentation, dynamic bodies and actuators, https://stonefish.readthedocs.io; what its drag is
     per face of a body stands in `SolidEntity.cpp` (1.4 and later).
     """

@@ -99,17 +99,7 @@ class MatrixBudget:
 
 
 class VertexTree:
-    """The ends of one velocity in sets, by halving, and a matrix below all ends of each set.
-
-    Attributes
-    ----------
-    children : ndarray
-        The two halves of each set, shape (sets, 2); -1 where it is a single end.
-    below : ndarray
-        Shape (places, sets, size, size).
-    off : ndarray
-        How far `lower` is from the middle of the set, of the same shape.
-    """
+    """The ends of one velocity in sets, by halving, and a matrix below all ends of each set."""
 
     def __init__(self, ends: Array) -> None:
         self.ends = ends  # one below each end, shape (places, ends, size, size)
@@ -120,7 +110,8 @@ class VertexTree:
             single = high - low == 1
             halves.append((-1, -1) if single else (len(ranges), len(ranges) + 1))
             ranges += [] if single else [(low, (low + high) // 2), ((low + high) // 2, high)]
-        self.children = np.array(halves)
+        self.children = np.array(halves)  # the two halves of each set; -1 where it is a single end
+        # `lower`, shape (places, sets, size, size), and how far it is from the middle of the set.
         found = [_lower_bound(ends[:, low:high]) for low, high in ranges]
         self.lower, self.offset = (np.stack(part, axis=1) for part in zip(*found, strict=True))
 
@@ -258,17 +249,10 @@ class LMI(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What a program came to.
+    """What a program came to."""
 
-    Attributes
-    ----------
-    x : ndarray
-        The unknowns.
-    duals : list of ndarray
-        By form, a matrix Z: the least cost changes by -trace(Z' change) with a small change of the form.
-    """
-
-    x: Array
+    x: Array  # the unknowns
+    # By form, a matrix Z: the least cost changes by -trace(Z' change) with a small change of the form.
     duals: list[Array]
 
 

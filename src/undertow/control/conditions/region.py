@@ -36,15 +36,9 @@ _NO_THRUST = "commands are not proved to stay within their limits for any error"
 def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = None) -> Region:
     """The largest region that is certified for a law, every axis pushed.
 
-    Parameters
-    ----------
-    problem : Problem
-        Law, gains and vehicle.
-    holds : bool
-        Whether the conditions derived from the model hold. Where they do not, a quadratic V is searched for.
-    start : mapping, optional
-        Largest errors to begin with, m and rad: a box, at rest with integrals at zero, that the region has to
-        hold. Without it the largest of some usual boxes is taken.
+    `holds` says whether the conditions derived from the model hold: where they do not, a quadratic V is
+    searched for. `start` are the largest errors to begin with, m and rad, at rest with integrals at zero: a
+    box that the region has to hold. Without it the largest of some usual boxes is taken.
     """
     try:
         found = _region(problem, holds, start)

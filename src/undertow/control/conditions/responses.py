@@ -40,13 +40,7 @@ class Modes(NamedTuple):
 
 
 def modes(A: Interval) -> Modes:
-    """The modes of a loop, with a bound on what they miss of it.
-
-    Raises
-    ------
-    UndertowError
-        If the loop is not stable, or its modes are too close to one another.
-    """
+    """The modes of a loop that is stable, with a bound on what they miss of it."""
     values, vectors = np.linalg.eig(A.middle)
     columns: list[Array] = []
     block_starts, rates = [], []

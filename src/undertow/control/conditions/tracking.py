@@ -99,19 +99,7 @@ class MissionReport:
 def check_mission(gains: GainSet, mission: Mission, tilt: float = np.pi / 3) -> MissionReport:
     """Check the conditions for the tracking error of a mission, without simulating it.
 
-    Parameters
-    ----------
-    gains : GainSet
-        Law, numbers and vehicle.
-    mission : Mission
-        What is followed.
-    tilt : float
-        Largest roll and pitch that conditions on a reference cover, rad.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle cannot follow the mission.
+    `tilt` is the largest roll and pitch that conditions on a reference cover, rad.
     """
     reference = mission.reference(gains)
     Controller(gains, reference)  # refuses what cannot run, whatever the conditions say

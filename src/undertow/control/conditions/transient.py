@@ -402,13 +402,7 @@ class Tubes:
 
 
 def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | None:
-    """Bounds on every motion from rest in a box of errors, at any heading of the set-point; None if none.
-
-    Raises
-    ------
-    UndertowError
-        If the model has no form that the method covers, or a thruster is not proved to suffice.
-    """
+    """Bounds on every motion from rest in a box of errors, at any heading of the set-point; None if none."""
     if problem.gains.schedule.order == "yaw-first":
         return None  # its gate opens in motion, and bounds are for motions from rest
     search = TubeSearch(PoseLoop(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
