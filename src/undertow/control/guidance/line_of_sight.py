@@ -76,9 +76,7 @@ class LineOfSight(Reference):
         pose = {n: np.zeros(len(points)) for n in names} | {
             n: points[:, i] for i, n in enumerate("xyz") if n in names
         }
-        # Courses along the path, rad, from that at its start to that at its end.
-        north, east, _ = np.diff(self.points, axis=0).T
-        courses = np.asarray(np.arctan2(east, north))
+        courses = self._course_angles()
         self.start, self.end = (
             np.array([pose[n][i] if n != "psi" else courses[i] for n in names]) for i in (0, -1)
         )
@@ -86,6 +84,11 @@ class LineOfSight(Reference):
 
     def _check(self) -> None:
         """Refuse a path that cannot be followed; legs can, whatever their length."""
+
+    def _course_angles(self) -> np.ndarray:
+        """Courses along the path, rad, from that at its start to that at its end."""
+        north, east, _ = np.diff(self.points, axis=0).T
+        return np.asarray(np.arctan2(east, north))
 
     @property
     def numbers(self) -> list[MissionNumber]:
