@@ -190,7 +190,13 @@ def _equilibria(gains: GainSet) -> Iterator[dict[str, float]]:
 def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
     from scipy.linalg import matrix_balance
 
-    matrix = _without_unactuated_integrals(loop)
+    # A of the closed loop without integrals that nothing depends on.
+    system, law_states = loop.closed, set(loop.law.state_labels)
+    kept = list(range(system.nstates))
+    for i, name in enumerate(system.state_labels):
+        if name in law_states and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
+            kept.remove(i)
+    matrix = np.asarray(system.A[np.ix_(kept, kept)])
     poles = np.linalg.eigvals(matrix)
     worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
     if worst.real > SETTINGS.slowest_decay:
@@ -209,16 +215,6 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
     decaying = [complex(p) for p in poles if p.real < -SETTINGS.slowest_decay]
     slowest = max(decaying, key=lambda p: (p.real, p.imag), default=worst)
     return _with_offset(FullLoop("stable", slowest, case.where), loop)
-
-
-def _without_unactuated_integrals(loop: LinearLoop) -> Array:
-    """A of the closed loop without integrals that nothing depends on."""
-    system, law_states = loop.closed, set(loop.law.state_labels)
-    kept = list(range(system.nstates))
-    for i, name in enumerate(system.state_labels):
-        if name in law_states and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
-            kept.remove(i)
-    return np.asarray(system.A[np.ix_(kept, kept)])
 
 
 def _with_offset(found: FullLoop, loop: LinearLoop) -> FullLoop:

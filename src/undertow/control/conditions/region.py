@@ -278,7 +278,11 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
 
 def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     commands = Commands(problem)
-    if _scale_invariant(problem) and not len(commands.limits):
+    # Where the loop is the same at any size of motion, what falls in a small box falls everywhere.
+    plant = problem.plant
+    signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
+    varying = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
+    if not any(varying) and not set(problem.coordinates) & set(ANGLES) and not len(commands.limits):
         return Region(
             "everywhere",
             "everywhere: inertia and damping do not depend on speed or attitude; V is proved to fall, "
@@ -301,14 +305,6 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         quadratic=found,
     )
     return region
-
-
-def _scale_invariant(problem: Problem) -> bool:
-    """Whether the loop is the same at any size of motion: what falls in a small box falls everywhere."""
-    plant = problem.plant
-    signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
-    varying = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
-    return not any(varying) and not set(problem.coordinates) & set(ANGLES)
 
 
 def _gate_note(problem: Problem) -> str:

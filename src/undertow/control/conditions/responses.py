@@ -53,7 +53,14 @@ def modes(A: Interval) -> Modes:
     if min(r.real for r in rates) <= 0:
         raise UndertowError("the loop at rest is not stable at every attitude")
     T = enclose(np.array(columns).T)
-    inverse = _inverse(T)
+    # The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one.
+    near = np.linalg.inv(T.lo)
+    n = len(near)
+    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
+    if not left < 0.5:
+        raise UndertowError("modes of the loop are too close to one another for bounds in time")
+    radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
+    inverse = Interval(near - radius, near + radius)
     block = np.zeros(A.lo.shape)
     for row, rate in zip(block_starts, rates, strict=True):
         s, w = rate.real, -rate.imag
@@ -61,17 +68,6 @@ def modes(A: Interval) -> Modes:
         block[row : row + size, row : row + size] = [[-s, w], [-w, -s]] if w else -s
     residual = (A - T @ enclose(block) @ inverse).magnitude
     return Modes(T, inverse, np.array(block_starts), np.array(rates), residual)
-
-
-def _inverse(T: Interval) -> Interval:
-    """The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one."""
-    near = np.linalg.inv(T.lo)
-    n = len(near)
-    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
-    if not left < 0.5:
-        raise UndertowError("modes of the loop are too close to one another for bounds in time")
-    radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
-    return Interval(near - radius, near + radius)
 
 
 class Kernels(NamedTuple):

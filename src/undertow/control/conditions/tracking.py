@@ -178,7 +178,14 @@ def speeds(problem: Problem, mission: Mission) -> Array:
 def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     most = speeds(problem, mission)
     matrices, affine = damping_corners(problem, most)
-    sets = [problem.with_damping(d) for d in _minimal_dampings(matrices)]
+    # Those whose symmetric part is not above that of another one: the others decide nothing for PD.
+    symmetric = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
+    symmetric = np.unique(symmetric.round(12), axis=0)
+    kept: list[Array] = []
+    for matrix in sorted(symmetric, key=lambda m: float(np.trace(m))):
+        if all(np.linalg.eigvalsh(matrix - other)[0] < -1e-12 for other in kept):
+            kept.append(matrix)
+    sets = [problem.with_damping(d) for d in np.array(kept)]
 
     def margins(inverse: Any) -> Array:
         found = [DERIVED_PD_DAMPER.margin(problem.quantities(sign_set, inverse, None)) for sign_set in sets]
@@ -341,17 +348,6 @@ def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
     return np.unique(D, axis=0), affine
 
 
-def _minimal_dampings(matrices: Array) -> Array:
-    """Those whose symmetric part is not above that of another one: the others decide nothing for PD."""
-    symmetric = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
-    symmetric = np.unique(symmetric.round(12), axis=0)
-    kept: list[Array] = []
-    for matrix in sorted(symmetric, key=lambda m: float(np.trace(m))):
-        if all(np.linalg.eigvalsh(matrix - other)[0] < -1e-12 for other in kept):
-            kept.append(matrix)
-    return np.array(kept)
-
-
 def _velocity_range(problem: Problem, most: Array) -> str:
     pairs = zip(problem.plant.nu, most, strict=True)
     return "velocities up to " + ", ".join(f"|{v}| = {m:.3g}" for v, m in pairs)
@@ -429,7 +425,15 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
         speed - current, True, f"{speed:.4g} m/s against {current:.4g} m/s", "kinematics",
     )  # fmt: skip
     if gains.law.id in DISCONTINUOUS:
-        yield _discontinuous_row(gains)
+        yield MissionRow(
+            "line of sight",
+            "all poles along the path decay",
+            "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
+            "linearisation",
+            0.0,
+            UNPROVED,
+            f"law '{gains.law.id}' is discontinuous: simulate it, or use 'sliding-mode-boundary-layer'",
+        )
         return
     vehicle = Overrides(current=mission.current).in_current(gains.plant.vehicle)
     directions, name = np.diff(mission.points, axis=0), "leg"
@@ -453,18 +457,6 @@ def _curvature_row(reference: SplineOfSight) -> MissionRow:
         reference.limits.turn_rate - yaw_rate, True, f"{yaw_rate:.4g} rad/s at the sharpest bend",
         "kinematics",
     )  # fmt: skip
-
-
-def _discontinuous_row(gains: GainSet) -> MissionRow:
-    return MissionRow(
-        "line of sight",
-        "all poles along the path decay",
-        "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
-        "linearisation",
-        0.0,
-        UNPROVED,
-        f"law '{gains.law.id}' is discontinuous: simulate it, or use 'sliding-mode-boundary-layer'",
-    )
 
 
 def _leg_row(

@@ -269,7 +269,12 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
                 label=f"zeros, {plain(c.name)}",
             )
     if not found.dt:
-        _logarithmic_axes(axis, own)
+        # Logarithmic axes, linear around zero, where poles are of very different size.
+        sizes = np.abs(own[np.abs(own) > 0])
+        if sizes.size and sizes.max() > _SPREAD * sizes.min():
+            least = 10.0 ** np.floor(np.log10(float(sizes.min())))
+            axis.set_xscale("symlog", linthresh=least)
+            axis.set_yscale("symlog", linthresh=least)
     _stability_limit(axis, found.dt)
     return _titled(shown, axes, _title(found, "poles of the loop" if found.loop else "poles"))
 
@@ -277,15 +282,6 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
 def _conjugate_poles(modes: Sequence[Any]) -> list[complex]:
     """Poles of modes, of pairs both."""
     return [q for m in modes for q in ({m.pole, m.pole.conjugate()})]
-
-
-def _logarithmic_axes(axis: Any, poles: Any) -> None:
-    """Logarithmic axes, linear around zero, where poles are of very different size."""
-    sizes = np.abs(poles[np.abs(poles) > 0])
-    if sizes.size and sizes.max() > _SPREAD * sizes.min():
-        least = 10.0 ** np.floor(np.log10(float(sizes.min())))
-        axis.set_xscale("symlog", linthresh=least)
-        axis.set_yscale("symlog", linthresh=least)
 
 
 def _stability_limit(axis: Any, dt: float = 0.0) -> None:
