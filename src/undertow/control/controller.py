@@ -54,11 +54,6 @@ class SymbolicAllocation:
         allocated = ca.sparsify(ca.SX(ca.DM(allocation.allocated)))
         return cls(allocation, allocated, ca.SX(allocation.weights), ca.SX(allocation.limits))
 
-    def with_limits(self, found: Mapping[int, ca.SX]) -> SymbolicAllocation:
-        """The same with other limits of some commands, by place."""
-        limits = [found.get(i, limit) for i, limit in enumerate(ca.vertsplit(self.limits))]
-        return replace(self, limits=ca.vertcat(*limits))
-
     @classmethod
     def with_names(
         cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]
@@ -174,9 +169,12 @@ class Controller:
         self._reference_states = ca.SX.sym("at", n_reference)
         self._k, self._dt = ca.SX.sym("k", len(self.gain_names)), ca.SX.sym("dt")
         named = dict(zip(self.gain_names, ca.vertsplit(self._k), strict=True))
-        self._symbolic = SymbolicAllocation.of(self.allocation).with_limits(
-            {i: named[n] for i, n in self._limits.items()}
-        )
+        constant = SymbolicAllocation.of(self.allocation)
+        limits = [
+            named[self._limits[i]] if i in self._limits else limit
+            for i, limit in enumerate(ca.vertsplit(constant.limits))
+        ]
+        self._symbolic = replace(constant, limits=ca.vertcat(*limits))
 
     def _check_schedule(self) -> None:
         missing = [c for c in ("x", "psi") if c not in self._coordinates]

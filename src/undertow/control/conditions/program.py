@@ -141,6 +141,9 @@ class Program:
 
     def __init__(self, search: SearchContext, bounds: SpeedBox) -> None:
         self.search, self.bounds, self.loop = search, bounds, search.loop
+        self.commands = search.commands  # those with limits
+        # P has a block for each axis: V is the same with the signs of an axis turned round.
+        self._blockwise = search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
         self.corners: Corners = self.loop.corners(bounds.speeds)
         # Attitudes in the program: the middle and the ends of each angle, more where angles are few.
         count = SETTINGS.attitudes[len(self.loop.angles)]
@@ -177,11 +180,6 @@ class Program:
         return Interval(A.lo * ratio, A.hi * ratio)
 
     # --- the program ----------------------------------------------------------------------------
-    @property
-    def _blockwise(self) -> bool:
-        """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        return self.search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
-
     @cached_property
     def basis(self) -> Array:
         """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
@@ -432,11 +430,6 @@ class Program:
         if not len(self.commands.limits):
             return np.zeros((0, 0, self.loop.size))
         return np.asarray(self.loop.commands_of(self.commands, self.samples).middle * self.scale)
-
-    @property
-    def commands(self) -> Commands:
-        """The commands with limits."""
-        return self.search.commands
 
     @cached_property
     def spare_thrust(self) -> Array:

@@ -257,10 +257,11 @@ class Proof:
     def __init__(self, program: Program, proposal: Proposal, most: int) -> None:
         self.program, self.loop, self.proposal = program, program.loop, proposal
         self.P = 0.5 * (proposal.P + proposal.P.T)
-        # Forms that vanish exactly are within this.
+        # Forms that vanish, by velocity: exactly they are within this.
         around = PROOFS.sum_rounding * np.abs(proposal.free)
-        self.free = Interval(proposal.free - around, proposal.free + around)
+        self.free = [Interval(N - e, N + e) for N, e in zip(proposal.free, around, strict=True)]
         self.scale, self.corners = program.scale, program.corners
+        self._scale_ratio = self.scale[:, None] / self.scale
         self._max_matrices, self._budget = most, MatrixBudget(most)
 
     @property
@@ -376,7 +377,7 @@ class Proof:
             share = 1.001 * (side.hi - side.lo)[:, None, None] ** 2 / 8
             own += share * self.loop.curvature(self.corners, boxes, angle) * self.scale / self.scale[:, None]
             turn = self.loop.body_jet(boxes, angle) * self._scale_ratio
-            for N, value in zip(self._identity_forms, self.program.values, strict=True):
+            for N, value in zip(self.free, self.program.values, strict=True):
                 free += share * np.abs(value).max() * (turn @ N @ turn.T).curvature.magnitude[:, 0]
         return (_plus_transpose(self.P @ plus_minus(own)) + plus_minus(free))[:, None]
 
@@ -384,20 +385,11 @@ class Proof:
         """What each velocity and parameter adds to the fall of V, (attitudes, cases, ends, size, size)."""
         turn = self.loop.body(at) * self._scale_ratio
         added = self.loop.added(self.corners, at)
-        for end, N, value in zip(added, self._identity_forms, self.program.values, strict=False):
+        for end, N, value in zip(added, self.free, self.program.values, strict=False):
             turned = turn @ N @ turn.T
             every = turned[:, :, None] * value[..., None, None]
             yield -(_plus_transpose(self.P @ self.program.scaled(end)) + every)
         yield from (-_plus_transpose(self.P @ self.program.scaled(end)) for end in added[self.loop.n :])
-
-    @property
-    def _identity_forms(self) -> list[Interval]:
-        """The forms that vanish, by velocity."""
-        return [self.free[i] for i in range(len(self.free))]
-
-    @property
-    def _scale_ratio(self) -> Array:
-        return np.asarray(self.scale[:, None] / self.scale)
 
     def _scaled(self, rows: Interval) -> Interval:
         return Interval(rows.lo * self.scale, rows.hi * self.scale)

@@ -46,19 +46,15 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         found = _no_region(str(error))
     except np.linalg.LinAlgError:
         found = _no_region("V is not positive at every attitude by more than rounding")
-    found = replace(found, parameters=_intervals(problem))
+    vehicle, parameters = problem.plant.vehicle, dict[str, Span]()
+    for symbol, ends in problem.parameter_box.items():
+        declared = vehicle.declaration(str(symbol))
+        low, high = sorted(printed(declared, e, vehicle.signs) for e in ends)
+        parameters[str(symbol)] = low, high
+    found = replace(found, parameters=parameters)
     if start is None:
         return found
     return replace(found, start=dict(start), contains_start=_contains(problem, found, start))
-
-
-def _intervals(problem: Problem) -> dict[str, Span]:
-    """The parameters that are uncertain, in the signs of the vehicle file."""
-    vehicle, found = problem.plant.vehicle, {}
-    for name, ends in ((str(s), ends) for s, ends in problem.parameter_box.items()):
-        low, high = sorted(printed(vehicle.declaration(name), e, vehicle.signs) for e in ends)
-        found[name] = low, high
-    return found
 
 
 def _parameters(problem: Problem) -> str:
