@@ -15,7 +15,6 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Timer
 from types import FrameType
@@ -117,19 +116,10 @@ _GAP, _APART = "  ", "   "
 _NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
 
 
-@dataclass(frozen=True)
-class Layout:
-    """When a table that is too wide keeps its columns, in letters; chosen for the tables of the commands.
-
-    A column wider than `prose` holds sentences, which may be wrapped (numbers are shorter), but not into less
-    than `least`: the cells of a row then stand below each other.
-    """
-
-    prose: int = 30
-    least: int = 24
-
-
-LAYOUT = Layout()
+# When a table that is too wide keeps its columns, in letters: one wider than _PROSE holds sentences, which may
+# be wrapped (numbers are shorter), but not into less than _LEAST: then the cells of a row stand below each
+# other.
+_PROSE, _LEAST = 30, 24
 
 
 def print_json(content: Any) -> None:
@@ -283,7 +273,7 @@ class _Table:
             return self._spread(widths, -over)
         widest = widths.index(max(widths))
         left = widths[widest] - over
-        if widths[widest] < LAYOUT.prose or left < LAYOUT.least:
+        if widths[widest] < _PROSE or left < _LEAST:
             return []
         widths[widest] = left
         return widths
