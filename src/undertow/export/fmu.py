@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from importlib.resources import files
@@ -32,16 +32,11 @@ Version = Literal["2.0", "3.0"]
 _NO_DATE = (1980, 1, 1, 0, 0, 0)
 
 
-@dataclass(frozen=True)
-class FmuSettings:
-    """What a unit does unless its user says otherwise."""
-
-    # Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker shorten
-    # it at the export.
-    max_step: float = 0.05
-    # stop_time, communication_step: default experiment, s
-    stop_time: float = 10.0
-    communication_step: float = 0.05
+# What a unit does unless its user says otherwise: the longest Runge-Kutta step of co-simulation, that of
+# `undertow simulate` (lags that are quicker shorten it at the export), and the default experiment; s.
+_MAX_STEP = 0.05
+_STOP_TIME = 10.0
+_COMMUNICATION_STEP = 0.05
 
 
 class Variable(NamedTuple):
@@ -68,11 +63,10 @@ class Fmu:
     Modelica Association, Functional Mock-up Interface, versions 2.0 and 3.0, https://fmi-standard.org.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, version: Version = "3.0", settings: FmuSettings | None = None
-    ) -> None:
-        self.vehicle, self.version, self.settings = vehicle, version, settings or FmuSettings()
-        self._functions = Functions(vehicle, named=True)
+    def __init__(self, vehicle: Vehicle, version: Version = "3.0") -> None:
+        self.vehicle, self.version = vehicle, version
+        self._functions = f = Functions(vehicle, named=True)
+        self._inputs = [f.x, f.u, f.numbers, f.t]
         self._manifest = describe(self._functions)
         self.name = identifier(slug(vehicle.name))
 
@@ -90,7 +84,7 @@ class Fmu:
             )
             for e in self._manifest.inputs
         ]
-        step = longest_step(self._functions, self.settings.max_step)
+        step = longest_step(self._functions, _MAX_STEP)
         return [
             Variable("time", "s", "independent", "continuous"),
             *(_state(e, "output" if e.name in seen else "local") for e in states),
@@ -180,11 +174,6 @@ class Fmu:
         still = ca.substitute(driven, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
         return ca.Function("forces", self._inputs, [ca.densify(still)], ["x", "u", "p", "t"], ["tau"])
 
-    @property
-    def _inputs(self) -> list[ca.SX]:
-        f = self._functions
-        return [f.x, f.u, f.numbers, f.t]
-
     @cached_property
     def _slopes(self) -> ca.Function:
         """`s = slopes(x, u, p, t)`: x_dot and the forces by x, u and p, shape (nx + n, nx + nu + np)."""
@@ -213,8 +202,8 @@ class Fmu:
         units = ET.SubElement(root, "UnitDefinitions")
         for unit in sorted({v.unit for v in self.variables if v.unit}):
             _unit(units, unit)
-        times = {"startTime": "0", "stopTime": f"{self.settings.stop_time:g}"}
-        times["stepSize"] = f"{self.settings.communication_step:g}"
+        times = {"startTime": "0", "stopTime": f"{_STOP_TIME:g}"}
+        times["stepSize"] = f"{_COMMUNICATION_STEP:g}"
         ET.SubElement(root, "DefaultExperiment", times)
         variables = ET.SubElement(root, "ModelVariables")
         for reference, variable in enumerate(self.variables):
@@ -239,13 +228,12 @@ class Fmu:
         outputs = [i for i, v in enumerate(self.variables) if v.causality == "output"]
         rates = [i for i, v in enumerate(self.variables) if v.derivative_of is not None]
         unknown = [i for i, v in enumerate(self.variables) if v.initial == "calculated"]
-        structure = ET.SubElement(root, "ModelStructure")
+        structure, third = ET.SubElement(root, "ModelStructure"), self.version == "3.0"
         groups = (("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown))
         for name, references in groups:
-            parent = structure if self.version == "3.0" else _listed(structure, name)
+            parent = structure if third else _listed(structure, name)
             for reference in references:
                 needs = None if name == "InitialUnknown" else self._dependencies[reference]
-                third = self.version == "3.0"
                 key, shift = ("valueReference", 0) if third else ("index", 1)
                 found = {key: str(reference + shift)}
                 if needs is not None:

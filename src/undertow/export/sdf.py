@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from math import isfinite
@@ -22,13 +21,9 @@ _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}
 
 
-@dataclass(frozen=True)
-class SdfSettings:
-    """Numbers of the export."""
-
-    # mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle
-    propeller_mass: float = 0.001
-    step: float = 0.002  # time step of the world, s
+# Mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle.
+_PROPELLER_MASS = 0.001
+_STEP = 0.002  # time step of the world, s
 
 
 class Sdf(Body):
@@ -38,9 +33,8 @@ class Sdf(Body):
     ``fluid_added_mass``, http://sdformat.org/spec.
     """
 
-    def __init__(self, vehicle: Vehicle, settings: SdfSettings | None = None) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "Gazebo")
-        self.settings = settings or SdfSettings()
         self._root = self._world()
         self.losses += self._left_out_lines()
 
@@ -69,7 +63,7 @@ class Sdf(Body):
         root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: ENU, forward-left-up "))
         world = ET.SubElement(root, "world", {"name": "water"})
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
-        append_elements(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
+        append_elements(physics, {"max_step_size": _STEP, "real_time_factor": 1})
         append_elements(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
         for file, system in _SYSTEMS.items():
             _plugin(world, file, system, {})
@@ -136,7 +130,7 @@ class Sdf(Body):
         element = ET.SubElement(model, "link", {"name": link})
         append_elements(element, {"pose": _pose(FLIP[:3] * point, angles_of(FLIP[:3] * direction))})
         inertial = ET.SubElement(element, "inertial")
-        mass = self.settings.propeller_mass
+        mass = _PROPELLER_MASS
         append_elements(inertial, {"mass": mass})
         small = {f"i{a}{a}": mass * 1e-3 for a in "xyz"}
         append_elements(ET.SubElement(inertial, "inertia"), small)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from math import asin, atan2, isfinite
 from xml.etree import ElementTree as ET
 
@@ -20,13 +19,8 @@ _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
 _HULL = "hull"  # link, material and look
 
 
-@dataclass(frozen=True)
-class StonefishSettings:
-    """Numbers of the export."""
-
-    depth: float = 2.0  # of the origin at the start, edges of the cube that displaces the water
-    gray: float = 0.5  # of the cube
-    roughness: float = 0.5  # of the cube
+_DEPTH = 2.0  # of the origin at the start, edges of the cube that displaces the water
+_GRAY, _ROUGHNESS = 0.5, 0.5  # of the cube
 
 
 class Stonefish(Body):
@@ -36,9 +30,8 @@ class Stonefish(Body):
     per face of a body stands in `SolidEntity.cpp` (1.4 and later).
     """
 
-    def __init__(self, vehicle: Vehicle, settings: StonefishSettings | None = None) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "Stonefish", _GRAVITY)
-        self.settings = settings or StonefishSettings()
         lift, self._centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
         self._edge = self.cube_edge(lift)
         self._root = self._scenario()
@@ -54,7 +47,7 @@ class Stonefish(Body):
         ET.SubElement(ocean, "water", {"density": density})
         hull = {"name": _HULL, "density": density, "restitution": "0.0"}
         ET.SubElement(ET.SubElement(root, "materials"), "material", hull)
-        look = {"gray": numbers(self.settings.gray), "roughness": numbers(self.settings.roughness)}
+        look = {"gray": numbers(_GRAY), "roughness": numbers(_ROUGHNESS)}
         ET.SubElement(ET.SubElement(root, "looks"), "look", {"name": _HULL, **look})
         self._robot(root)
         return root
@@ -65,7 +58,7 @@ class Stonefish(Body):
         self._link(robot)
         for thruster in self.vehicle.thrusters:
             self._push(robot, thruster)
-        _transform(robot, "world_transform", np.array([0.0, 0.0, self.settings.depth * self._edge]))
+        _transform(robot, "world_transform", np.array([0.0, 0.0, _DEPTH * self._edge]))
 
     def _link(self, robot: ET.Element) -> None:
         """A cube that displaces as much water as the model's buoyancy says, with the body's own inertia."""
