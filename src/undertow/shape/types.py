@@ -20,9 +20,8 @@ from .mesh import Faces, Mesh
 class TypeRules:
     """What is taken for granted of a type; places and areas are shares of the size, sigmas of the value."""
 
-    low_weight: float = (
-        0.09  # centre of gravity below that of buoyancy, of the height: BlueROV2 0.08, REMUS 0.10
-    )
+    # centre of gravity below that of buoyancy, of the height: BlueROV2 0.08, REMUS 0.10
+    low_weight: float = 0.09
     trim: float = 0.01  # sigma of the buoyancy of a vehicle that was trimmed to float
     frame: float = 0.5  # sigma of added mass of open frames: three published sets of BlueROV2 differ as much
     # ROV thrusters of BlueROV2, over length, beam and height: four at 45 degrees, two or four upright
@@ -56,9 +55,8 @@ class TypeRules:
     froude: float = 0.2  # at which friction is taken
     resistance: float = 1.4  # total over plate friction: form, waves and appendages
     resistance_sigma: float = 0.4
-    crossflow: float = (
-        0.8  # section drag coefficient: Hoerner has 0.6 to 1.0 for beam over draught of 6 to 1.5
-    )
+    # section drag coefficient: Hoerner has 0.6 to 1.0 for beam over draught of 6 to 1.5
+    crossflow: float = 0.8
     crossflow_sigma: float = 0.4
     rudder_aspect: float = 1.5
     rudder_hull: float = 0.3  # force on the hull per force on the rudder, a_H: KVLCC2 0.312

@@ -175,7 +175,7 @@ def _by_balance(
     """Damping, and added mass where no push says it, from the balance of forces at every time step."""
     columns, forces = [], []
     for r, length in records:
-        # Rows at which the hull has gone `FitRules.settled` lengths at one speed, shape (n,).
+        # Rows at which the hull has gone `_SETTLED` lengths at one speed, shape (n,).
         speed = np.abs(r.speed)
         way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(r.time))])
         before = np.interp(way - _SETTLED * length, way, r.speed)

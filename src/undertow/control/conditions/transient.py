@@ -372,9 +372,7 @@ class Tubes:
         """
         later, rises, falls = self._up_to(i + 1), self.rises[:i], self.falls[:i]
         own = np.einsum("ihp,ihp->hp", later[:i], rises) - np.einsum("ihp,ihp->hp", self.earlier[:i], falls)
-        rounding = (
-            len(self.kernels.times) * np.finfo(float).eps
-        )  # of integrals, which are sums over the pieces
+        rounding = len(self.kernels.times) * np.finfo(float).eps  # of integrals: sums over the pieces
         own += rounding * self.kernels.integral[-1] * (rises.sum(axis=0) + falls.sum(axis=0))
         rest = _matvec(self.tail, self.lag)
         np.add.at(rest.T, self.signals, np.maximum(own, 0.0).T)
