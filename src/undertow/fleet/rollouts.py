@@ -135,10 +135,10 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
 def _plausible(paths: Array, t: Array) -> NDArray[np.bool_]:
     """Which rollouts stay what a vehicle in water can do, shape (count,); of paths (count, k, 2n) of pose and
     velocities."""
-    from undertow.control.closed_loop.measures import PLAUSIBLE
+    from undertow.control.closed_loop.measures import implausible
 
     start = paths[:, 0, : paths.shape[2] // 2]
-    return np.asarray(~PLAUSIBLE.implausible(paths, start, t - t[0]).any(axis=(1, 2)))
+    return np.asarray(~implausible(paths, start, t - t[0]).any(axis=(1, 2)))
 
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:

@@ -77,32 +77,25 @@ _FULL_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
 
-@dataclass(frozen=True)
-class PlausibleStates:
-    """Limits of the state of a vehicle in water; a run beyond them has diverged."""
-
-    # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
-    speed: float = FASTEST
-    # A pose may be as far from the start as twice that speed (the vehicle's and the water's) leads in the
-    # time so far and this many seconds more, m and rad; farther, the integration has jumped
-    ahead: float = 1.0
-
-    def limits(self, t: np.ndarray, pose: int, states: int) -> np.ndarray:
-        """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
-        found = np.full((len(t), states), np.inf)
-        found[:, :pose] = 2 * self.speed * (t[:, None] + self.ahead)
-        found[:, pose : 2 * pose] = self.speed
-        return found
-
-    def implausible(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Where states are not finite or beyond their limits, shape (..., n, states)."""
-        pose = start.shape[-1]
-        moved = x.copy()
-        moved[..., :pose] -= start[..., None, :]
-        return ~np.isfinite(x) | (np.abs(moved) > self.limits(t, pose, x.shape[-1]))
+# A pose may be as far from the start as twice `FASTEST` (the speed of vehicle and water) leads in the time
+# so far and this many seconds more, m and rad; farther, the integration has jumped.
+_AHEAD = 1.0
 
 
-PLAUSIBLE = PlausibleStates()
+def _limits(t: np.ndarray, pose: int, states: int) -> np.ndarray:
+    """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
+    found = np.full((len(t), states), np.inf)
+    found[:, :pose] = 2 * FASTEST * (t[:, None] + _AHEAD)
+    found[:, pose : 2 * pose] = FASTEST
+    return found
+
+
+def implausible(x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Where states are not finite or no vehicle in water reaches them, shape (..., n, states)."""
+    pose = start.shape[-1]
+    moved = x.copy()
+    moved[..., :pose] -= start[..., None, :]
+    return ~np.isfinite(x) | (np.abs(moved) > _limits(t, pose, x.shape[-1]))
 
 
 @dataclass(frozen=True)
@@ -120,10 +113,9 @@ class Divergence:
 
 def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float) -> Divergence:
     """What has diverged in a state at time t, shape (states,), with the pose that the run began with."""
-    implausible = PLAUSIBLE.implausible(x[None], start, np.array([t]))[0]
-    index = int(np.argmax(implausible))
+    index = int(np.argmax(implausible(x[None], start, np.array([t]))[0]))
     pose = len(start)
-    limit = float(PLAUSIBLE.limits(np.array([t]), pose, len(x))[0, index])
+    limit = float(_limits(np.array([t]), pose, len(x))[0, index])
     name, value = names[index], float(x[index] - (start[index] if index < pose else 0.0))
     unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
@@ -261,8 +253,8 @@ class Measures:
     def add(self, begin: int, rows: Rows) -> int:
         """Take in the rows of the samples from `begin` on; how many there are before the run diverges."""
         t = (begin + np.arange(len(rows.x))) * self._scenario.dt
-        implausible = np.flatnonzero(PLAUSIBLE.implausible(rows.x, self._start, t).any(axis=1))
-        count = int(implausible[0]) if implausible.size else len(t)
+        beyond = np.flatnonzero(implausible(rows.x, self._start, t).any(axis=1))
+        count = int(beyond[0]) if beyond.size else len(t)
         if count < len(t):
             self.diverged = divergence(self._states, rows.x[count], self._start, float(t[count]))
         if count:

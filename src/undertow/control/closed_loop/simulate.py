@@ -23,7 +23,7 @@ from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
-from .measures import PLAUSIBLE, Measures
+from .measures import Measures, implausible
 from .parts import Parts, SampledLoop, check_interval, check_steps, sampling_offsets
 from .record import Record, Recorder
 from .scenario import Scenario, heading
@@ -114,8 +114,7 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         row = rows.stop
     pose = len(loop.vehicle.pose_names)
     states = runs.states[share]
-    implausible = PLAUSIBLE.implausible(states, states[:, 0, :pose], runs.t).any(axis=2)
-    diverged = np.maximum.accumulate(implausible, axis=1)
+    diverged = np.maximum.accumulate(implausible(states, states[:, 0, :pose], runs.t).any(axis=2), axis=1)
     if not diverged[:, -1].any():
         return
     runs.states[share][diverged] = np.nan
