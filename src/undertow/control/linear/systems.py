@@ -21,8 +21,7 @@ from undertow.control.laws import DISCONTINUOUS
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
-from undertow.observer.design import SETTINGS as DESIGN
-from undertow.observer.design import Design
+from undertow.observer.design import USUAL_PERIOD, Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
 
@@ -550,7 +549,7 @@ class SteadyStateFilter:
             self._add_delays(pade)
         noise = np.zeros_like(self.a)
         noise[process.driven, process.driven] = observer.densities
-        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
+        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, USUAL_PERIOD))
         self.gain = self._steady_gain(noise, r)
 
     def _add_delays(self, order: int) -> None:
