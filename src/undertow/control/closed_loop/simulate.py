@@ -82,7 +82,7 @@ class Runs:
 
     t: np.ndarray  # (n,): times of the rows, s
     # (b, n, nx): true states; NaN from the first row on at which a run has diverged: it is no number any
-    # more, or none that a vehicle in water can have (`PlausibleStates`)
+    # more, or none that a vehicle in water can have (`implausible`)
     states: np.ndarray
     commands: np.ndarray  # (b, n, nu): commands that the controller gives at the rows
     # state_names, command_names: names of the last axes

@@ -526,7 +526,7 @@ class SteadyStateFilter:
     """The steady-state Kalman filter of an observer at a trim, in continuous time.
 
     Reports every T s with variance r are equivalent to a continuous report with spectral density r T (Simon
-    2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
+    2006, section 8.1); a sensor without a period counts as one of `USUAL_PERIOD`. Deviations from
     the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
     With late reports, the states of Padé's approximation of their delay are included.
     """
