@@ -25,20 +25,27 @@ from undertow.typing import Array, Flags
 from .attitude import Attitudes, Certificate, Interval, margin_bound, transposed
 from .by_law import CONDITIONS, Condition, Quantities
 
-# How finely conditions are searched through and sampled.
-_SEARCH_LOW = 1e-9  # least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero
-_SEARCH_HIGH = 1e9  # largest one; what holds there holds without end
-_SEARCH_POINTS = 19  # points in between at first, one for each power of ten
-_REFINED_POINTS = 9  # points between the neighbours of the best one, again and again
-_SEARCH_TOLERANCE = 1e-8  # relative distance of neighbours that is close enough
-_MARGIN_ROUNDING = 1e-12  # of margins, relative to the largest at any attitude
-_HEADING_SAMPLES = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
-_TILT_SAMPLES = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
-_MAX_CORNERS = 12  # of more parameters than this the corners (two to this power) are not tried
-# Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
-_TILT_RANGE = (1.0, 85.0)
-_CONFIDENCE_RANGE = (0.5, 0.9999)  # of intervals and ellipsoids
-_POLYGON_SIDES = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How finely conditions are searched through and sampled."""
+
+    low: float = 1e-9  # least iota, 1/s, or gain, SI, that is looked at; what holds there holds down to zero
+    high: float = 1e9  # largest one; what holds there holds without end
+    points: int = 19  # points in between at first, one for each power of ten
+    refined_points: int = 9  # points between the neighbours of the best one, again and again
+    tolerance: float = 1e-8  # relative distance of neighbours that is close enough
+    rounding: float = 1e-12  # of margins, relative to the largest at any attitude
+    headings: int = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
+    tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
+    max_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
+    # Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
+    tilt_range: tuple[float, float] = (1.0, 85.0)
+    confidence_range: tuple[float, float] = (0.5, 0.9999)  # of intervals and ellipsoids
+    sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
+
+
+SEARCH = SearchSettings()
 
 
 @dataclass(frozen=True)
@@ -173,7 +180,7 @@ def where_positive(margins: Margins, concave: bool = True) -> Span | None:
     iota, the search ends as soon as three points say that it is positive nowhere. An interval that reaches an
     end of the range is open there; 0 or infinity is returned for it.
     """
-    low, high = math.log(_SEARCH_LOW), math.log(_SEARCH_HIGH)
+    low, high = math.log(SEARCH.low), math.log(SEARCH.high)
 
     def decided(x: Array, values: Array, best: int) -> bool:
         return bool(values[best] > 0) or (concave and _nowhere_positive(x, values, best))
@@ -193,15 +200,15 @@ def _peak(
     margins: Margins, decided: Callable[[Array, Array, int], bool] = lambda *_: False
 ) -> tuple[float, float]:
     """Logarithm and value of the largest margin: between the neighbours of the best point of a grid."""
-    low, high, count = math.log(_SEARCH_LOW), math.log(_SEARCH_HIGH), _SEARCH_POINTS
+    low, high, count = math.log(SEARCH.low), math.log(SEARCH.high), SEARCH.points
     while True:
         grid = np.linspace(low, high, count)
         values = margins(np.exp(grid))
         best = int(np.argmax(values))
         low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, count - 1)])
-        if high - low < _SEARCH_TOLERANCE or decided(np.exp(grid), values, best):
+        if high - low < SEARCH.tolerance or decided(np.exp(grid), values, best):
             return float(grid[best]), float(values[best])
-        count = _REFINED_POINTS
+        count = SEARCH.refined_points
 
 
 def _nowhere_positive(x: Array, values: Array, best: int) -> bool:
@@ -239,7 +246,7 @@ class Problem:
     def __init__(
         self, gains: GainSet, tilt: float = np.pi / 3, parameter_box: ParameterBox = EXACT_PARAMETERS
     ) -> None:
-        low, high = _TILT_RANGE
+        low, high = SEARCH.tilt_range
         degrees = round(math.degrees(tilt), 9)
         if not low <= degrees <= high:
             raise UndertowError(
@@ -338,9 +345,9 @@ class Problem:
             return [({}, self.attitudes.at({}))]
         pairs = zip(angles, self.attitudes.box(angles), strict=True)
         axes = [
-            np.linspace(-np.pi / 2, np.pi / 2, _HEADING_SAMPLES)
+            np.linspace(-np.pi / 2, np.pi / 2, SEARCH.headings)
             if a == "psi"
-            else np.linspace(low, high, _TILT_SAMPLES)
+            else np.linspace(low, high, SEARCH.tilts)
             for a, (low, high) in pairs
         ]
         rows = np.stack([g.ravel() for g in np.meshgrid(*axes)], axis=1)
@@ -500,9 +507,9 @@ class Problem:
             return np.min([*each], axis=0)
 
         while span is not None:
-            probes = np.clip([span[0], interior_point(span), span[1]], _SEARCH_LOW, _SEARCH_HIGH)
+            probes = np.clip([span[0], interior_point(span), span[1]], SEARCH.low, SEARCH.high)
             found = np.array([self._margins_by_iota(*pair, probes, self._sampled_inverses) for pair in pairs])
-            rounding = _MARGIN_ROUNDING * np.abs(found).max(axis=(0, 2))
+            rounding = SEARCH.rounding * np.abs(found).max(axis=(0, 2))
             if active and (found.min(axis=(0, 2)) >= least(probes) - rounding).all():
                 return span
             for margins in found.swapaxes(0, 1):
@@ -547,7 +554,7 @@ class Uncertainty:
     def __init__(
         self, vehicle: Vehicle, confidence: float = 0.95, covariance: tuple[Sequence[str], Any] = ((), ())
     ) -> None:
-        low, high = _CONFIDENCE_RANGE
+        low, high = SEARCH.confidence_range
         if not low <= confidence <= high:
             raise UndertowError(
                 f"confidence {confidence:g} is no probability from {low:g} to {high:g}: give one"
@@ -572,7 +579,7 @@ class Uncertainty:
 
     def over_box(self, margins: Margins, signs: SignSet, relevant: Flags) -> RobustVerdict:
         """Over every value of what `relevant` within its own interval and its physical bounds."""
-        if np.count_nonzero(relevant) > _MAX_CORNERS:
+        if np.count_nonzero(relevant) > SEARCH.max_corners:
             return self._robust_verdict(margins(signs.theta[None]), signs.theta[None], signs, proved=False)
         corners = self._corners(signs, relevant, float(ndtri(0.5 + self.confidence / 2)))
         return self._robust_verdict(margins(corners), corners, signs, margins(signs.theta[None])[0])
@@ -667,11 +674,11 @@ def _polytope(size: int) -> tuple[Array | None, Array]:
         ends = np.array([[-1.0], [1.0]])
         return ends, ends
     if size == 2:
-        angle = 2 * np.pi * np.arange(_POLYGON_SIDES) / _POLYGON_SIDES
+        angle = 2 * np.pi * np.arange(SEARCH.sides) / SEARCH.sides
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return circle / np.cos(np.pi / _POLYGON_SIDES), circle
+        return circle / np.cos(np.pi / SEARCH.sides), circle
     on_ball = np.concatenate([np.eye(size), -np.eye(size)])
-    if size > _MAX_CORNERS:
+    if size > SEARCH.max_corners:
         return None, on_ball
     corners = np.array(list(product((-1.0, 1.0), repeat=size)))
     return corners, np.concatenate([on_ball, corners / np.sqrt(size)])

@@ -80,12 +80,18 @@ class MissionTable(FileTable):
     waypoints: Annotated[list[WaypointTable], Field(min_length=2, max_length=200)]
 
 
-# Limits beyond which a unit is wrong: no vehicle in water has such a mission.
-_FARTHEST = 1e6  # m and rad, of a way-point
-_LEAST_SIZE = 1e-6  # of speeds, accelerations and distances, SI
-_LARGEST_SIZE = 1e4
-_LONGEST_HOLD = 1e7  # s
-_CLOSEST_POINTS = 1e-3  # way-points of splines and legs, m
+@dataclass(frozen=True)
+class MissionLimits:
+    """Limits beyond which a unit is wrong: no vehicle in water has such a mission."""
+
+    size: float = 1e6  # m and rad, of a way-point
+    low: float = 1e-6  # of speeds, accelerations and distances, SI
+    high: float = 1e4
+    longest: float = 1e7  # s
+    closest: float = 1e-3  # way-points of splines and legs, m
+
+
+LIMITS = MissionLimits()
 
 
 @dataclass(frozen=True)
@@ -242,7 +248,7 @@ def _require_steering(mission: Mission, actuated: set[str], vehicle: str) -> Non
             "rudders give one if the gain file has [allocation] speed"
         )
     flat = np.linalg.norm(np.diff(mission.points[:, :2], axis=0), axis=1)
-    if (flat < _CLOSEST_POINTS).any():
+    if (flat < LIMITS.closest).any():
         raise UndertowError(
             f"way-points {int(np.argmin(flat)) + 1} and {int(np.argmin(flat)) + 2} are above each other, "
             f'but {_KINDS[mission.kind]} need a horizontal direction: move one, or write kind = "setpoints"'
@@ -284,8 +290,8 @@ def mission_from_table(table: MissionTable) -> Mission:
         None if w.t is None else si_of(f"way-point {i} t", w.t, "s") for i, w in enumerate(table.waypoints, 1)
     ]
     hold = si_of("hold", table.hold, "s")
-    if not 0 <= hold <= _LONGEST_HOLD:
-        raise UndertowError(f"hold = {table.hold}: give a time from 0 to {_LONGEST_HOLD:g} s")
+    if not 0 <= hold <= LIMITS.longest:
+        raise UndertowError(f"hold = {table.hold}: give a time from 0 to {LIMITS.longest:g} s")
     water = table.current
     current = (
         (si_of("[current] north", water.north, "m/s"), si_of("[current] east", water.east, "m/s"))
@@ -320,7 +326,7 @@ def _guidance(table: GuidanceTable) -> Guidance:
     sizes = {n: _bounded(f"[guidance] {n}", getattr(table, n), "m") for n in ("lookahead", "acceptance")}
     integral = si_of("[guidance] integral", table.integral, "m/s")
     steepest = si_of("[guidance] steepest", table.steepest, "rad")
-    if not 0 <= integral <= _LARGEST_SIZE:
+    if not 0 <= integral <= LIMITS.high:
         raise UndertowError(
             f"[guidance] integral = {table.integral}: give 0 m/s (LOS) or a value above it (ILOS)"
         )
@@ -331,23 +337,23 @@ def _guidance(table: GuidanceTable) -> Guidance:
 
 def _check_apart(kind: str, points: np.ndarray) -> None:
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if kind in ("spline", "legs") and (gaps < _CLOSEST_POINTS).any():
+    if kind in ("spline", "legs") and (gaps < LIMITS.closest).any():
         i = int(np.argmin(gaps)) + 1
         raise UndertowError(
             f"way-points {i} and {i + 1} are {gaps[i - 1]:g} m apart: a {kind.rstrip('s')} needs "
-            f"{_CLOSEST_POINTS:g} m at least; remove one"
+            f"{LIMITS.closest:g} m at least; remove one"
         )
 
 
 def _waypoint(i: int, point: WaypointTable) -> list[float]:
     found = [si_of(f"way-point {i} {n}", getattr(point, n), MOTION_UNITS[n]) for n in "xyz"]
-    if max(map(abs, found)) > _FARTHEST:
-        raise UndertowError(f"way-point {i} is beyond {_FARTHEST:g} m: check the unit")
+    if max(map(abs, found)) > LIMITS.size:
+        raise UndertowError(f"way-point {i} is beyond {LIMITS.size:g} m: check the unit")
     return found
 
 
 def _bounded(what: str, stated: Quantity, unit: str) -> float:
     value = si_of(what, stated, unit)
-    if not _LEAST_SIZE <= value <= _LARGEST_SIZE:
-        raise UndertowError(f"{what} = {stated}: give one from {_LEAST_SIZE:g} to {_LARGEST_SIZE:g} {unit}")
+    if not LIMITS.low <= value <= LIMITS.high:
+        raise UndertowError(f"{what} = {stated}: give one from {LIMITS.low:g} to {LIMITS.high:g} {unit}")
     return value
