@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.control.loops import run as simulated
-from undertow.control.closed_loop.pictures import LEAST_COMMAND_SPAN, LEAST_SPANS, band, pictures
+from undertow.control.closed_loop.pictures import SPAN, band, pictures
 from undertow.control.closed_loop.record import CommandRange
 from undertow.control.closed_loop.scenario import Scenario
 from undertow.control.closed_loop.simulate import ClosedLoop
@@ -61,8 +61,8 @@ def test_rounding_errors_of_what_rests_do_not_look_like_motion() -> None:
     drawn = pictures([run])
     spans = {name: np.ptp(drawn[name].axes[0].get_ylim()) for name in ("x", "y", "psi")}
     assert spans["x"] == pytest.approx(1.1, rel=0.01)
-    assert spans["y"] == pytest.approx(LEAST_SPANS["m"])
-    assert spans["psi"] == pytest.approx(LEAST_SPANS["deg"])
+    assert spans["y"] == pytest.approx(SPAN.metres)
+    assert spans["psi"] == pytest.approx(SPAN.degrees)
 
 
 def test_commands_have_their_units() -> None:
@@ -70,4 +70,4 @@ def test_commands_have_their_units() -> None:
     axes = pictures([run])["commands"].axes
     assert [axis.get_ylabel() for axis in axes] == [f"f{i} [N]" for i in (1, 2, 3, 4)]
     largest = max(c.peak for c in run.result.commands)
-    assert all(np.ptp(axis.get_ylim()) >= 0.999 * LEAST_COMMAND_SPAN * largest for axis in axes)
+    assert all(np.ptp(axis.get_ylim()) >= 0.999 * SPAN.command * largest for axis in axes)

@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from tests.observer.test_filters import DENSITY, DT, VARIANCE, C, discrete, linear
 from undertow.observer.filters import Estimate, Observer, Reports
-from undertow.observer.nees import FEWEST_ROWS, Truth, nees
+from undertow.observer.nees import SETTINGS, Truth, nees
 
 ROWS, RUNS = 600, 60
 PRIOR = np.diag([0.5, 0.2])
@@ -73,5 +73,5 @@ def test_errors_of_size_one_sigma_have_a_nees_of_one(runs) -> None:
 
 def test_few_rows_of_truth_are_no_test(runs) -> None:
     found, truth = runs[0]
-    some = np.where(np.arange(ROWS)[:, None] < ROWS - FEWEST_ROWS + 1, np.nan, truth.values)
+    some = np.where(np.arange(ROWS)[:, None] < ROWS - SETTINGS.fewest_rows + 1, np.nan, truth.values)
     assert nees([(found, replace(truth, values=some))]) == ()

@@ -13,7 +13,7 @@ from undertow.identification.logs.run import Run
 from undertow.identification.report.pictures import decimated
 from undertow.model.catalogue import catalogue
 from undertow.model.describe import describe
-from undertow.workbench.figures import PIXELS, channels, escaped, typeset, waterfall
+from undertow.workbench.figures import SETTINGS, channels, escaped, typeset, waterfall
 
 
 def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
@@ -21,8 +21,8 @@ def test_a_million_samples_keep_every_peak_in_two_points_a_pixel() -> None:
     t = np.arange(1_000_000) / 100.0
     y = rng.normal(size=len(t))
     y[[123_456, 777_777]] = 40.0, -50.0
-    short, values = decimated(t, y, PIXELS)
-    assert len(short) <= 2 * PIXELS
+    short, values = decimated(t, y, SETTINGS.pixels)
+    assert len(short) <= 2 * SETTINGS.pixels
     assert (values.max(), values.min()) == (40.0, -50.0)
     assert short[values.argmax()] == t[123_456]
     assert short[values.argmin()] == t[777_777]

@@ -65,10 +65,16 @@ class GainTable(FileTable):
     allocation: AllocationTable = Field(default_factory=AllocationTable)
 
 
-# Limits beyond which a unit or a power of ten is wrong, and sums of products lose digits.
-_GAIN_RANGE = (1e-12, 1e12)  # SI
-_WEIGHT_RANGE = (1e-9, 1e9)
-_SPEED_RANGE = (0.01, 50.0)  # m/s: what steers by fins makes way, and no vehicle is as fast
+@dataclass(frozen=True)
+class GainLimits:
+    """Limits beyond which a unit or a power of ten is wrong, and sums of products lose digits."""
+
+    gains: tuple[float, float] = (1e-12, 1e12)  # SI
+    weights: tuple[float, float] = (1e-9, 1e9)
+    speed: tuple[float, float] = (0.01, 50.0)  # m/s: what steers by fins makes way, and no vehicle is as fast
+
+
+LIMITS = GainLimits()
 
 
 @dataclass(frozen=True)
@@ -151,8 +157,8 @@ def _speed(allocation: AllocationTable) -> float:
     if allocation.speed is None:
         return 0.0
     speed = si_of("[allocation] speed", allocation.speed, "m/s")
-    low, high = _SPEED_RANGE
-    if not low <= speed <= high:
+    if not LIMITS.speed[0] <= speed <= LIMITS.speed[1]:
+        low, high = LIMITS.speed
         raise UndertowError(f"[allocation] speed = {allocation.speed}: give one from {low:g} to {high:g} m/s")
     return speed
 
@@ -218,7 +224,7 @@ def _gain_value(gain: GainMatrix, coordinate: str, stated: Quantity) -> float:
             f"gain {gain.name} for {coordinate} is {stated}, but gains have to be positive: the law itself "
             "has the signs"
         )
-    low, high = _GAIN_RANGE
+    low, high = LIMITS.gains
     if not low <= value <= high:
         raise UndertowError(
             f"gain {gain.name} for {coordinate} is {stated}: give one from {low:g} to {high:g} "
@@ -268,7 +274,7 @@ def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
                 f"[allocation] names thruster '{key}'{nearest(key, known)}: the vehicle has "
                 f"{', '.join(known) or 'none'}"
             )
-    low, high = _WEIGHT_RANGE
+    low, high = LIMITS.weights
     beyond = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
     if beyond:
         name, weight = beyond[0]

@@ -36,13 +36,21 @@ from .process import AT_REST, Kind, Process, process_of
 
 SCHEMA = "undertow/observer/1"
 
-# Reports up to this age, s, count as of the present: at 1 m/s one of 20 ms is wrong by 2 cm, less than most
-# noise. Older ones have to be given to the filter at the time when they were true.
-_LATE = 0.02
-# Time between reports, s, that come with every sample, where no sampling interval is at hand.
-USUAL_PERIOD = 0.01
-# Samples that a report in a loop is late at most: each sample does all of them again.
-_MAX_PAST_STEPS = 500
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """Numbers of observers on board."""
+
+    # Reports up to this age, s, count as of the present: at 1 m/s one of 20 ms is wrong by 2 cm, less than
+    # most noise. Older ones have to be given to the filter at the time when they were true.
+    late: float = 0.02
+    # Time between reports, s, that come with every sample, where no sampling interval is at hand.
+    sample: float = 0.01
+    # Samples that a report in a loop is late at most: each sample does all of them again.
+    max_past_steps: int = 500
+
+
+SETTINGS = DesignSettings()
 
 
 class SensorTable(FileTable):
@@ -109,16 +117,16 @@ class Design:
     def late(self) -> dict[str, float]:
         """Ages of the reports that are no longer of the present, s, by sensor."""
         ages = zip(self.sensors, self.process.late[list(self.channels)].tolist(), strict=True)
-        return {name: age for name, age in ages if age > _LATE}
+        return {name: age for name, age in ages if age > SETTINGS.late}
 
     def sampled(self, dt: float) -> Design:
         """The observer in a loop of a sampling interval, s: its late reports are whole samples late."""
         lags = tuple(whole_samples(self.late.get(name, 0.0), dt) for name in self.sensors)
-        if max(lags) > _MAX_PAST_STEPS:
+        if max(lags) > SETTINGS.max_past_steps:
             age = max(self.late.values())
             raise UndertowError(
                 f"a report {age:g} s late is {max(lags)} samples of {dt:g} s late, and an observer in a loop "
-                f"keeps {_MAX_PAST_STEPS}: lengthen dt to {age / _MAX_PAST_STEPS:.3g} s"
+                f"keeps {SETTINGS.max_past_steps}: lengthen dt to {age / SETTINGS.max_past_steps:.3g} s"
             )
         return replace(self, lags=lags)
 

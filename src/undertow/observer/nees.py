@@ -16,8 +16,16 @@ from .consistency import SETTINGS as TESTS
 from .consistency import Normalised
 from .filters import Estimate, smoother_gains
 
-_MOST_ROWS = 200  # evenly spread, that the test takes of a run: their correlations need all pairs
-FEWEST_ROWS = 10
+
+@dataclass(frozen=True)
+class NeesSettings:
+    """Numbers of the test."""
+
+    most_rows: int = 200  # evenly spread, that it takes of a run: their correlations need all pairs
+    fewest_rows: int = 10
+
+
+SETTINGS = NeesSettings()
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "position": POSE[:3],
@@ -92,7 +100,7 @@ def _part(found: Estimate, truth: Truth, states: tuple[str, ...]) -> _Part | Non
     there: Flags = np.asarray(np.isfinite(truth.values[:, columns]).all(axis=1))
     there[: _first_row(found)] = False
     rows = _evenly_spaced(np.flatnonzero(there))
-    if len(rows) < FEWEST_ROWS:
+    if len(rows) < SETTINGS.fewest_rows:
         return None
     error = found.mean[rows][:, own] - truth.values[rows][:, columns]
     angles = [i for i, n in enumerate(states) if n in POSE[3:]]
@@ -112,9 +120,9 @@ def _first_row(found: Estimate) -> int:
 
 def _evenly_spaced(rows: Index) -> Index:
     """As many of them as are taken, evenly."""
-    if len(rows) <= _MOST_ROWS:
+    if len(rows) <= SETTINGS.most_rows:
         return rows
-    return rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
+    return rows[np.linspace(0, len(rows) - 1, SETTINGS.most_rows).astype(np.intp)]
 
 
 def _variance(found: Estimate, rows: Index, own: Sequence[int], white: Array) -> float:

@@ -11,7 +11,8 @@ from undertow.codegen.manifest import Entry
 from undertow.codegen.spelling import Dialect, Part, comment, fill, identifier, slug
 from undertow.model.symbols import MOTION_UNITS
 
-from .design import USUAL_PERIOD, Design
+from .design import SETTINGS as DESIGN
+from .design import Design
 from .filters import SETTINGS as FILTER
 from .process import AT_REST, longest_step
 
@@ -142,7 +143,7 @@ def _code(design: Design, c: Dialect) -> tuple[list[str], list[str]]:
 
 def _kept(design: Design, fields: dict[str, object]) -> tuple[list[str], list[str]]:
     """Lines of header and source where reports come late."""
-    periods = [float(p) for p in design.period if p > 0] or [USUAL_PERIOD]
+    periods = [float(p) for p in design.period if p > 0] or [DESIGN.sample]
     step, longest = min(*periods, longest_step(design.process)), max(design.late.values())
     own = fields | {
         **{"NAMES": ", ".join(design.late), "STEP": f"{step:.4g}", "UPPER": str(fields["NAME"]).upper()},

@@ -6,6 +6,7 @@ import html
 import math
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
 from typing import Any
@@ -20,12 +21,19 @@ from undertow.identification.report.pictures import decimated
 Figure = dict[str, Any]
 Line = list[float | None]
 
-# Sizes that were chosen by looking at the pages on a screen of 1400 pixels.
-PIXELS = 1000  # of a channel, with a least and a greatest value each
-_ROW = 92  # height of a channel, pixels
-_GAP = 0.12  # share of a row between two
-_APART = 5.0  # ratio from which what a channel was before has an axis of its own
-_DARKEST = 3.0  # decades of residual force over noise from white to the darkest red
+
+@dataclass(frozen=True)
+class FigureSettings:
+    """Sizes that were chosen by looking at the pages on a screen of 1400 pixels."""
+
+    pixels: int = 1000  # of a channel, with a least and a greatest value each
+    row: int = 92  # height of a channel, pixels
+    gap: float = 0.12  # share of a row between two
+    apart: float = 5.0  # ratio from which what a channel was before has an axis of its own
+    darkest: float = 3.0  # decades of residual force over noise from white to the darkest red
+
+
+SETTINGS = FigureSettings()
 COLOURS = {"train": "#1565c0", "judge": "#2e7d32", "out": "#9e9e9e"}
 ROLE_WORDS = {"train": "training", "judge": "judging", "out": "left out"}
 _MEASURED, _MODEL, _BETTER, _MARK, _BEFORE = "#212121", "#e07b00", "#6a1b9a", "#ffca28", "#9e9e9e"
@@ -131,7 +139,7 @@ def channels(
     # Plotly offers its box for choosing a segment only where some trace has markers.
     data.append({"type": "scatter", "mode": "markers", "x": [None], "y": [None], "hoverinfo": "skip"})
     rows = len(names)
-    height = _ROW * rows + 80
+    height = SETTINGS.row * rows + 80
     shapes = [_band(a, b, COLOURS[role], 0.10) for a, b, role in spans]
     shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
     shapes += [_box(*selected)] if selected else []
@@ -162,7 +170,7 @@ def _stacked(titles: Sequence[str]) -> Figure:
     layout = {"xaxis": _axis("time (s)", anchor=f"y{_nth(rows)}")}
     for row, title in enumerate(titles, start=1):
         top = 1.0 - (row - 1) / rows
-        domain = [max(top - (1.0 - _GAP) / rows, 0.0), top]
+        domain = [max(top - (1.0 - SETTINGS.gap) / rows, 0.0), top]
         layout[f"yaxis{_nth(row)}"] = _axis(title, domain=domain, nticks=4)
     return layout
 
@@ -186,13 +194,13 @@ def _of_another_size(before: Run, run: Run, name: str) -> bool:
     if not before.has(name):
         return False
     old, new = (float(np.nanmax(np.abs(r.channels[name]), initial=0.0)) for r in (before, run))
-    return max(old, new) > _APART * min(old, new)
+    return max(old, new) > SETTINGS.apart * min(old, new)
 
 
 def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour: str, said: str) -> Figure:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
-    t, y = decimated(run.t[rows], run.channels[name][rows], PIXELS)
+    t, y = decimated(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
     return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{_nth(row)}")
 
 
@@ -236,7 +244,7 @@ def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figu
         "texttemplate": "%{text}",
         "colorscale": [[0, "#ffffff"], [0.5, "#ffb74d"], [1, "#c62828"]],
         "zmin": 0,
-        "zmax": _DARKEST,
+        "zmax": SETTINGS.darkest,
         "xgap": 2,
         "ygap": 2,
         "showscale": False,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from http.cookies import SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
@@ -30,9 +31,16 @@ _POLICY = (
     "connect-src 'self' ws:; frame-ancestors 'none'; form-action 'none'; base-uri 'self'"
 )
 
-# Seconds between two looks at what the work has come to: slower looks like standing still.
-_LOOK = 0.3
-_PATIENCE = 30.0  # s, that a window may be away before the server forgets it
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Times of the page, s."""
+
+    look: float = 0.3  # between two looks at what the work has come to: slower looks like standing still
+    patience: float = 30.0  # that a window may be away before the server forgets it
+
+
+SETTINGS = PageSettings()
 
 
 class TokenGate:
@@ -97,7 +105,7 @@ def window(bench: Bench) -> None:
     body = ui.column().classes("w-full p-4 gap-3")
     view.draw = lambda: _draw(view, body)
     view.draw()
-    ui.timer(_LOOK, view.look)
+    ui.timer(SETTINGS.look, view.look)
 
 
 def _draw(view: View, body: Any) -> None:
@@ -172,5 +180,5 @@ def serve(bench: Bench, port: int, *, show: bool, said: Callable[[str], None]) -
         reload=False,
         show=address if show else False,
         show_welcome_message=False,
-        reconnect_timeout=_PATIENCE,
+        reconnect_timeout=SETTINGS.patience,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,21 @@ _TRAVEL = 3.0
 _HEIGHT = 0.02  # least height of a band, as a part of the range of the command
 _GAP = 7  # segments over which a band is closed and its edges are taken: six are 2 % of the width
 
-# Least spans of axes: less than anyone measures, and far above rounding errors.
-LEAST_SPANS = {"m": 1e-3, "deg": 0.1}
-LEAST_COMMAND_SPAN = 1e-3  # as a part of the largest command of that unit
+
+@dataclass(frozen=True)
+class SpanSettings:
+    """Least spans of axes: less than anyone measures, and far above rounding errors."""
+
+    metres: float = 1e-3
+    degrees: float = 0.1
+    command: float = 1e-3  # as a part of the largest command of that unit
+
+    def of(self, unit: str) -> float:
+        """The span of an axis in "m" or "deg"."""
+        return self.degrees if unit == "deg" else self.metres
+
+
+SPAN = SpanSettings()
 
 
 def pictures(records: Sequence[Record]) -> dict[str, Figure]:
@@ -84,7 +97,7 @@ def coordinate(records: Sequence[Record], name: str) -> Figure:
         axis.set_title(f"{number}{_TITLES[name]} of {plain(records[0].result.vehicle)}")
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"{_TITLES[name].lower()} {name} [{unit}]")
-        spanning(axis, LEAST_SPANS[unit])
+        spanning(axis, SPAN.of(unit))
         axis.grid()
         axis.legend(loc="best")
     return picture
@@ -108,8 +121,8 @@ def track(records: Sequence[Record]) -> Figure:
             axis.plot(goal["y"], goal["x"], "*", color=INK, markersize=9, label=words)
         axis.set_title(f"Track of {plain(first.result.vehicle)} in the plane")
         axis.set(xlabel="position to the east y [m]", ylabel="position to the north x [m]")
-        spanning(axis, LEAST_SPANS["m"], "x")
-        spanning(axis, LEAST_SPANS["m"])
+        spanning(axis, SPAN.metres, "x")
+        spanning(axis, SPAN.metres)
         axis.set_aspect("equal", adjustable="datalim")
         axis.grid()
         axis.legend(loc="best")
@@ -129,7 +142,7 @@ def errors(records: Sequence[Record]) -> Figure:
                     label = name if len(records) == 1 else f"{name}, {plain(record.result.controller)}"
                     axis.plot(record.t, units[unit] * values, label=label, **_line_style(i))
             axis.set_ylabel(f"desired less true [{unit}]")
-            spanning(axis, LEAST_SPANS[unit])
+            spanning(axis, SPAN.of(unit))
             axis.grid()
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)  # above: the errors fill it
         axes[-1, 0].set_xlabel("time [s]")
@@ -205,7 +218,7 @@ def commands(records: Sequence[Record]) -> Figure:
                     _draw(axis, record, name, i)
             axis.set_ylabel(with_unit(name, units[name]))
             largest = (c.peak for r in records for c in r.result.commands if c.unit == units[name])
-            spanning(axis, LEAST_COMMAND_SPAN * max(largest))
+            spanning(axis, SPAN.command * max(largest))
             axis.grid()
         axes[0, 0].set_title("Commands, mean from row to row")
         axes[-1, 0].set_xlabel("time [s]")

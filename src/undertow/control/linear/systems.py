@@ -21,7 +21,8 @@ from undertow.control.laws import DISCONTINUOUS
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
-from undertow.observer.design import USUAL_PERIOD, Design
+from undertow.observer.design import SETTINGS as DESIGN
+from undertow.observer.design import Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
 
@@ -549,7 +550,7 @@ class SteadyStateFilter:
             self._add_delays(pade)
         noise = np.zeros_like(self.a)
         noise[process.driven, process.driven] = observer.densities
-        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, USUAL_PERIOD))
+        r = np.diag(observer.variance * np.where(observer.period > 0, observer.period, DESIGN.sample))
         self.gain = self._steady_gain(noise, r)
 
     def _add_delays(self, order: int) -> None:
