@@ -106,6 +106,7 @@ def _in_ascii(letter: str) -> str:
 
 codecs.register_error(_READABLE, _readable)
 
+
 # A blank that ties a sign or a comparison to its number.
 _TIED = "\u00a0"
 _TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±|\+-|[<>=≤≥≻]) [-+\d.])")
@@ -113,6 +114,7 @@ _TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±
 _GAP, _APART = "  ", "   "
 # In ASCII a subscript has its line, and what is tied to a number is as short as on paper.
 _NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
+
 
 # When a table that is too wide keeps its columns, in letters: one wider than _PROSE holds sentences, which
 # may be wrapped (numbers are shorter), but not into less than _LEAST: then cells of a row stand below each
@@ -483,6 +485,7 @@ def _under_way(failure: BaseException | None) -> bool:
 
 # --- findings of the doctor -----------------------------------------------------------------------
 _STYLES = {"mistake": "bold red", "warning": "yellow", "note": "dim"}
+
 
 _INDENT = "    "
 

@@ -31,6 +31,7 @@ Version = Literal["2.0", "3.0"]
 # An archive says when its files were made; the same vehicle is to give the same bytes.
 _NO_DATE = (1980, 1, 1, 0, 0, 0)
 
+
 # What a unit does unless its user says otherwise: the longest Runge-Kutta step of co-simulation, that of
 # `undertow simulate` (lags that are quicker shorten it at the export), and the default experiment; s.
 _MAX_STEP = 0.05

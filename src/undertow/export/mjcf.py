@@ -26,6 +26,7 @@ _AXES = {
     "roll": "1 0 0",
 }
 
+
 # Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It is
 # taken from the rest, so that the sum stays; small, so that what is left is a body.
 _FLOAT_SHARE = 1e-6

@@ -20,6 +20,7 @@ from .body import FLIP, Body, Drag, angles_of, append_elements, fit, numbers
 _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}
 
+
 # Mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle.
 _PROPELLER_MASS = 0.001
 _STEP = 0.002  # time step of the world, s

@@ -18,6 +18,7 @@ from .body import Body, angles_of, fit, numbers, on_the_diagonal
 _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
 _HULL = "hull"  # link, material and look
 
+
 _DEPTH = 2.0  # of the origin at the start, edges of the cube that displaces the water
 _GRAY, _ROUGHNESS = 0.5, 0.5  # of the cube
 

@@ -360,6 +360,7 @@ _WORTH = 0.25  # relative change that leaves everything open if it would not hav
 _CONTRADICTS = 0.3
 _SHOWN = 4  # causes that a line has room for
 
+
 Answer = Literal["grew", "none seen", "cannot tell"]
 
 

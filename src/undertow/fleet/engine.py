@@ -33,6 +33,7 @@ class Timeouts:
 
 TIMEOUTS = Timeouts()
 
+
 Items = Sequence[tuple[Any, ...]]
 Results = Iterator[tuple[int, Any]]
 

@@ -203,6 +203,7 @@ UNKNOWN = Prior()
 AT_REST = Prior(velocity=0.05, rate=0.05, acceleration=0.05, current=0.3, bias=0.05, effect_state=0.1)
 """A vehicle that is switched on where it lies: for filters on board."""
 
+
 _LONGEST = 0.25  # step of a filter, s
 _REACH = 0.5  # the same in the fastest time constant of the vehicle at rest
 # The same for filters that step once a sample: one of Runge-Kutta of fourth order grows from 2.78 on.

@@ -106,6 +106,7 @@ KINDS = {
 FAMILIES = (("2", "3", "4"), ("6", "7", "8"))
 RULE = "lowest variance"
 
+
 # From where on numbers of a table do not fit.
 _OUTLIER = 5.0  # standard deviations off the trend of the cases before
 _SIGNIFICANT = 2.0  # standard deviations from zero

@@ -46,6 +46,7 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
 
 _LAMB = "Lamb (1932), Hydrodynamics, chapter V (ellipsoids)"
 
+
 # Up to where closed forms and tables hold.
 _SLENDER = 5.0  # length over diameter from which strip theory counts for a cylinder
 # flat ends, by panels (docs/shape.md): share of the strips times diameter over length

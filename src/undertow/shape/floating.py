@@ -20,6 +20,7 @@ from .panels import UP, panels, radiated, solved
 
 Complex = NDArray[np.complex128]
 
+
 # How a hull at the surface is computed.
 _FINEST = 1600  # panels of the whole hull; half of them or so are under water
 _FREQUENCIES = 24

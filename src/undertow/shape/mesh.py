@@ -24,6 +24,7 @@ from undertow.typing import Array
 
 Faces = NDArray[np.int64]
 
+
 # What is read from a file of a hull, and how it is cut.
 _STATIONS = 100  # at which a silhouette is measured
 _SAME_POINT = 1e-6  # points closer than this share of the size are one: STL has seven digits

@@ -35,6 +35,7 @@ _MODEL_SHARE = 0.02
 _FEWEST_ROWS = 6  # fewest samples that say something of damping
 _GCI_BAND = 2.0  # a grid convergence index is a band of so many standard deviations
 
+
 # Effects of a vehicle file by what marks their names, and the units of force and of moment coefficients.
 EFFECTS = {
     "added_mass": ("dot", "kg", "kg m^2"),

@@ -50,6 +50,7 @@ from .session import FORCE, REFITTED, ModelStep, Workspace
 
 Result = dict[str, Any]
 
+
 # How much of what is worked out is kept for the page.
 _DRAWN_CANDIDATES = 8  # that are simulated, the best first: more lines than that nobody compares
 _LEAST_FALL = 0.01  # fall of an error, as a share of it, below which two bars look the same

@@ -61,6 +61,7 @@ CreaseOption = Annotated[
     ),
 ]
 
+
 Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)

@@ -76,6 +76,7 @@ TAIL = 0.1
 _FULL_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
+
 # A pose may be as far from the start as twice `FASTEST` (the speed of vehicle and water) leads in the time
 # so far and this many seconds more, m and rad; farther, the integration has jumped.
 _AHEAD = 1.0

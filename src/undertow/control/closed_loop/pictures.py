@@ -30,6 +30,7 @@ _TITLES = {
 _IN_PAPER = {"strategy": 13, "x": 14, "y": 15, "psi": 16, "z": 17}
 _PAPERS_VEHICLE = "mini-auv"
 
+
 # When a command is drawn as a band instead of unresolvable lines.
 _BINS = 300  # parts of the picture's width, each a few pixels wide
 # Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.

@@ -265,8 +265,10 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
 }
 """Conditions by the id of the law, in the order in which they are shown."""
 
+
 # --- Lyapunov candidates, their derivatives along the closed loop, and LaSalle's sets --------------
 IOTA = symbol("iota")
+
 
 # How the stated derivative of a candidate is compared with the one worked out from the model.
 _SEED = 20210405

@@ -169,6 +169,7 @@ ParameterBox = Mapping[sm.Symbol, Span]
 """Intervals of parameters, SI and SNAME signs."""
 EXACT_PARAMETERS: ParameterBox = {}
 
+
 Margins = Callable[[Array], Array]
 """Margins of many values at once: of one positive number, or of parameters, which they are concave in."""
 

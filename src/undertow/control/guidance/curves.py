@@ -24,6 +24,7 @@ _HORIZONTAL_SHARE = 0.05
 _SAMPLES_PER_PIECE = 50  # points of a piece at which it is checked, and drawn
 _ROUNDS = 10  # of arc length as the parameter at the way-points
 
+
 _ORDER = 4  # coefficients of a cubic, lowest power first
 
 

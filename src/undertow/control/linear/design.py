@@ -26,6 +26,7 @@ from .trim import Trim, find_trim
 DESIGNED = ("pd", "pid")
 _HORIZONTAL = ("x", "y")
 
+
 # Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
 _INTEGRAL_TIME = 5.0
 _INTEGRAL_TIME_FACTOR = 2.0  # factor on this time as often as the conditions on gains fail
@@ -33,6 +34,7 @@ _ROUNDS = 12  # most trials
 # Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
 _WEIGHT_RANGE = (1e-9, 1e9)
 _AT_REST = -1e-9  # real part, 1/s, above which a state left to itself does not come to rest
+
 
 Verdict = Callable[[GainSet], bool]
 

@@ -32,6 +32,7 @@ from .trim import Trim, find_trim
 
 _log = logging.getLogger(__name__)
 
+
 # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
 _MAX_PADE = 8
 _MAX_SAMPLES = 1000  # of a delay, each of which is a state for every signal that comes late
