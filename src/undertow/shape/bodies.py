@@ -47,17 +47,23 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
 _LAMB = "Lamb (1932), Hydrodynamics, chapter V (ellipsoids)"
 
 
-# Up to where closed forms and tables hold.
-_SLENDER = 5.0  # length over diameter from which strip theory counts for a cylinder
-# flat ends, by panels (docs/shape.md): share of the strips times diameter over length
-_ENDS_ACROSS = 0.7
-_ENDS_ABOUT = 2.0  # the same in turning
-_ENDS_ALONG = 0.5  # what flat ends carry along the axis over density times diameter cubed
-_BOX_ERROR = 0.02  # largest relative error of the table of boxes, its interpolation included
-# share of the way from box to ellipsoid: cylinders and torpedoes, no cone (docs/shape.md)
-_ERROR_BETWEEN = 0.25
-# relative error of an ellipsoid that was stretched because the table of boxes ends
-_ERROR_OF_STRETCHED = 0.4
+@dataclass(frozen=True)
+class ValidityLimits:
+    """Up to where closed forms and tables hold."""
+
+    slender: float = 5.0  # length over diameter from which strip theory counts for a cylinder
+    # flat ends, by panels (docs/shape.md): share of the strips times diameter over length
+    ends_across: float = 0.7
+    ends_about: float = 2.0  # the same in turning
+    ends_along: float = 0.5  # what flat ends carry along the axis over density times diameter cubed
+    box: float = 0.02  # largest relative error of the table of boxes, its interpolation included
+    # share of the way from box to ellipsoid: cylinders and torpedoes, no cone (docs/shape.md)
+    between: float = 0.25
+    # relative error of an ellipsoid that was stretched because the table of boxes ends
+    stretched: float = 0.4
+
+
+_VALID = ValidityLimits()
 
 
 @dataclass(frozen=True)
@@ -118,23 +124,26 @@ def cylinder(length: float, diameter: float, density: float = 1000.0) -> AddedMa
     axis it is taken as zero: that depends on the ends, which strips do not see.
     """
     positive(length=length, diameter=diameter, density=density)
-    if length < _SLENDER * diameter:
+    if length < _VALID.slender * diameter:
         raise UndertowError(
             f"a cylinder of {length:g} m by {diameter:g} m is {length / diameter:.3g} diameters long, strips "
-            f"need {_SLENDER:g}: take the ellipsoid of the same length and volume, or a panel method"
+            f"need {_VALID.slender:g}: take the ellipsoid of the same length and volume, or a panel method"
         )
     across = density * np.pi / 4 * diameter**2 * length
     about = across * length**2 / 12
     slender = diameter / length
     limits = (
-        f"from {_SLENDER:g} diameters of length; real ends take "
-        f"{_ENDS_ACROSS * slender:.0%} away across and {_ENDS_ABOUT * slender:.0%} in turning, "
+        f"from {_VALID.slender:g} diameters of length; real ends take "
+        f"{_VALID.ends_across * slender:.0%} away across and {_VALID.ends_about * slender:.0%} in turning, "
         "and there is some added mass along the axis, depending on their shape"
     )
-    shares = np.array([0.0, _ENDS_ACROSS, _ENDS_ACROSS, 0.0, _ENDS_ABOUT, _ENDS_ABOUT]) * slender
+    shares = (
+        np.array([0.0, _VALID.ends_across, _VALID.ends_across, 0.0, _VALID.ends_about, _VALID.ends_about])
+        * slender
+    )
     matrix = np.diag([0.0, across, across, 0.0, about, about])
     error = shares * matrix
-    error[0, 0] = _ENDS_ALONG * density * diameter**3
+    error[0, 0] = _VALID.ends_along * density * diameter**3
     size = f"cylinder of {length:g} m by {diameter:g} m"
     source = f"{size}, strip theory; Lamb (1932), Hydrodynamics, chapter IV (circular cylinder)"
     return AddedMass(matrix, source, limits, error)
@@ -165,7 +174,7 @@ def positive(**numbers: float) -> None:
 _MOTIONS = 6
 _SOURCE = "table of 36 boxes computed by a panel method (capytaine, direct method), interpolated"
 _LIMITS = (
-    f"sharp edges, smooth closed sides; within {_BOX_ERROR:.0%} in ideal fluid far from bottom and surface; "
+    f"sharp edges, smooth closed sides; within {_VALID.box:.0%} in ideal fluid far from bottom and surface; "
     "water that separates at the edges in large motions is not in it"
 )
 
@@ -195,7 +204,7 @@ def box(length: float, beam: float, height: float, density: float = 1000.0) -> A
     own[order], own[order + 3] = coefficients[:3], coefficients[3:]
     matrix = np.diag(own * scale)
     source = f"box of {length:g} x {beam:g} x {height:g} m; {_SOURCE}"
-    return AddedMass(matrix, source, _LIMITS, _BOX_ERROR * matrix)
+    return AddedMass(matrix, source, _LIMITS, _VALID.box * matrix)
 
 
 @cache
@@ -247,9 +256,9 @@ def _interpolated(round_: Array, full: Array | None, fill: float) -> tuple[Array
     """Added mass for a hull that fills so much of its bounding box, its error, and how it was found."""
     if full is None:
         stretched = round_ * max(1.0, fill / _FILL_OF_ELLIPSOID)
-        return stretched, _ERROR_OF_STRETCHED * stretched, "an ellipsoid, stretched to the volume,"
+        return stretched, _VALID.stretched * stretched, "an ellipsoid, stretched to the volume,"
     share = float(np.clip((fill - _FILL_OF_ELLIPSOID) / (1 - _FILL_OF_ELLIPSOID), 0.0, 1.0))
     if share > 0.99:
         return full, 0.02 * full, "box"
     text = f"{1 - share:.0%} ellipsoid and {share:.0%} box"
-    return round_ + share * (full - round_), _ERROR_BETWEEN * np.abs(full - round_), text
+    return round_ + share * (full - round_), _VALID.between * np.abs(full - round_), text

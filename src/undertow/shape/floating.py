@@ -21,16 +21,21 @@ from .panels import UP, panels, radiated, solved
 Complex = NDArray[np.complex128]
 
 
-# How a hull at the surface is computed.
-_FINEST = 1600  # panels of the whole hull; half of them or so are under water
-_FREQUENCIES = 24
-_LONGEST_WAVE = 60.0  # longest wave over the length of the hull in the water
-_SHORTEST_WAVE = 0.4  # shortest wave over its beam; beyond it hulls radiate next to nothing
-_THINNEST_SHARE = 0.01  # share of the height that has to be under water, and out of it
-_PANELS_PER_WAVE = 3.0  # panels along the shortest wave, at least
-_HEADINGS = 9  # of a regular wave, from astern to ahead on one side
-_DIRECTIONS = 181  # directions of the waves that go out, for the drift
+@dataclass(frozen=True)
+class FloatingRules:
+    """How a hull at the surface is computed."""
 
+    panels: int = 1600  # of the whole hull; half of them or so are under water
+    frequencies: int = 24
+    longest: float = 60.0  # longest wave over the length of the hull in the water
+    shortest: float = 0.4  # shortest wave over its beam; beyond it hulls radiate next to nothing
+    thin: float = 0.01  # share of the height that has to be under water, and out of it
+    cells: float = 3.0  # panels along the shortest wave, at least
+    headings: int = 9  # of a regular wave, from astern to ahead on one side
+    theta: int = 181  # directions of the waves that go out, for the drift
+
+
+FLOATING_RULES = FloatingRules()
 _SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # of forces, between body axes and those with z up
 
 
@@ -89,10 +94,10 @@ def waterline(hull: Mesh, volume: float) -> tuple[Array, float]:
     def missing(level: float) -> float:
         return float(_immersed(cpt, hull, np.array([0.0, 0.0, level])).disp_volume) - volume
 
-    least, most = low + _THINNEST_SHARE * (high - low), high - _THINNEST_SHARE * (high - low)
+    least, most = low + FLOATING_RULES.thin * (high - low), high - FLOATING_RULES.thin * (high - low)
     if missing(most) > 0 or missing(least) < 0:
         raise UndertowError(
-            f"{volume:.4g} m^3 leave less than {_THINNEST_SHARE:.0%} of the height of the hull in or out "
+            f"{volume:.4g} m^3 leave less than {FLOATING_RULES.thin:.0%} of the height of the hull in or out "
             "of the water: correct the mass, the density or the unit of the mesh"
         )
     level = float(brentq(missing, least, most, xtol=1e-6 * (high - low)))
@@ -131,7 +136,9 @@ def _stiffness(wet: Any, mass: float, cg: float, density: float) -> Array:
 class FloatingBody:
     """A hull that floats, ready to be solved; `mass` kg, `cg` its place under (+) the waterline, m."""
 
-    def __init__(self, hull: Mesh, mass: float, cg: float, density: float, finest: int = _FINEST) -> None:
+    def __init__(
+        self, hull: Mesh, mass: float, cg: float, density: float, finest: int = FLOATING_RULES.panels
+    ) -> None:
         self._cpt = load_capytaine()
         self.density, self.mass = density, mass
         self.origin, self.draught = waterline(hull, mass / density)
@@ -157,11 +164,11 @@ class FloatingBody:
 
     def _frequencies(self) -> Array:
         """From waves much longer than the hull to such as are shorter than its beam, if panels show them."""
-        length, beam, _ = np.ptp(self._fine.vertices, axis=0)
+        (length, beam, _), rules = np.ptp(self._fine.vertices, axis=0), FLOATING_RULES
         panel = float(np.sqrt(self._fine.faces_areas.mean()))
-        ends = np.array([_LONGEST_WAVE * length, max(_SHORTEST_WAVE * beam, _PANELS_PER_WAVE * panel)])
+        ends = np.array([rules.longest * length, max(rules.shortest * beam, rules.cells * panel)])
         low, high = np.sqrt(2 * np.pi * GRAVITY / ends)
-        return np.geomspace(low, high, _FREQUENCIES)
+        return np.geomspace(low, high, rules.frequencies)
 
     def _check_upright(self) -> None:
         roll, pitch = self.stiffness[3, 3], self.stiffness[4, 4]
@@ -225,7 +232,7 @@ class FloatingBody:
             raise UndertowError(
                 f"wave of {omega:.4g} rad/s is out of reach of these panels: choose {low:.3g} to {high:.3g}"
             )
-        headings = np.linspace(0.0, np.pi, _HEADINGS)
+        headings = np.linspace(0.0, np.pi, FLOATING_RULES.headings)
         # With z up a wave that travels to starboard travels to minus y.
         problems = [
             self._cpt.DiffractionProblem(
@@ -254,7 +261,7 @@ class FloatingBody:
 
         kochin = self._cpt.post_pro.compute_kochin
         margin = 0.1
-        count = _DIRECTIONS
+        count = FLOATING_RULES.theta
         theta = np.linspace(-np.pi - margin, 2 * np.pi + margin, count + count // 2)
         radiating = solved(self._cpt, self._radiation_problems(self._body, omega), omega, "indirect")
         scattering = solved(self._cpt, problems, omega, "indirect")

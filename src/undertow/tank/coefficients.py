@@ -370,17 +370,22 @@ def _entries(found: Sequence[Coefficient], effect: str) -> Iterator[str]:
 
 
 # --- what the grid leaves open -------------------------------------------------------------------------
-# How a grid convergence index is computed; factors are those of Roache.
-_SAFETY_OF_THREE = 1.25  # factor of safety where three grids show the order
-_SAFETY_OF_TWO = 3.0  # the same where the order is assumed
-_ASSUMED_ORDER = 1.0  # order where it is: limiters and turbulence are of first order
-_LEAST_ORDER = 0.5  # a lower observed order would make the index grow without bound
-_MOST_ORDER = 2.0  # the schemes have no higher order; a higher observed one is chance
-_SHARE_OF_ONE = 0.10  # share of an added mass that a single grid leaves open
-# The same of a damping: the coarsest grid of a slender hull was 40 % too high.
-_SHARE_OF_ONE_FOR_DRAG = 0.8
-_ROUNDS = 50  # of the iteration for the order
-_HIGHEST_ORDER = 20.0  # of the observed order: values that agree to rounding have any
+@dataclass(frozen=True)
+class GciRules:
+    """How a grid convergence index is computed; factors are those of Roache."""
+
+    three: float = 1.25  # factor of safety where three grids show the order
+    two: float = 3.0  # the same where the order is assumed
+    assumed: float = 1.0  # order where it is: limiters and turbulence are of first order
+    least: float = 0.5  # a lower observed order would make the index grow without bound
+    most: float = 2.0  # the schemes have no higher order; a higher observed one is chance
+    one: float = 0.10  # share of an added mass that a single grid leaves open
+    one_of_drag: float = 0.8  # the same of a damping: the coarsest grid of a slender hull was 40 % too high
+    rounds: int = 50  # of the iteration for the order
+    ceiling: float = 20.0  # of the observed order: values that agree to rounding have any
+
+
+CONVERGENCE = GciRules()
 
 
 @dataclass(frozen=True)
@@ -403,14 +408,14 @@ def observed_order(values: Sequence[float], sizes: Sequence[float]) -> float:
     """
     one, two = values[1] - values[0], values[2] - values[1]
     if not one:
-        return _HIGHEST_ORDER
+        return CONVERGENCE.ceiling
     if not two:
         return 0.0
     fine, coarse = sizes[1] / sizes[0], sizes[2] / sizes[1]
     sign, order = copysign(1.0, two / one), 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(CONVERGENCE.rounds):
         uneven = (fine**order - sign) / (coarse**order - sign)
-        order = min(abs(log(abs(two / one)) + log(uneven)) / log(fine), _HIGHEST_ORDER) or 1e-9
+        order = min(abs(log(abs(two / one)) + log(uneven)) / log(fine), CONVERGENCE.ceiling) or 1e-9
     return order
 
 
@@ -426,20 +431,20 @@ def convergence(values: Sequence[float], sizes: Sequence[float], *, drag: bool =
         raise UndertowError("grid convergence: give a value for each grid, finest first, with rising sizes")
     value = values[0]
     if len(values) == 1:
-        share = _SHARE_OF_ONE_FOR_DRAG if drag else _SHARE_OF_ONE
+        share = CONVERGENCE.one_of_drag if drag else CONVERGENCE.one
         return Convergence(value, value, 0.0, share * abs(value), "one grid")
     change, ratio = value - values[1], sizes[1] / sizes[0]
     if len(values) == 2:
-        step = change / (ratio**_ASSUMED_ORDER - 1)
-        return Convergence(value, value + step, _ASSUMED_ORDER, _SAFETY_OF_TWO * abs(step), "two grids")
+        step = change / (ratio**CONVERGENCE.assumed - 1)
+        return Convergence(value, value + step, CONVERGENCE.assumed, CONVERGENCE.two * abs(step), "two grids")
     order = observed_order(values[:3], sizes[:3])
     before = values[1] - values[2]
     if abs(change) >= abs(before) and change:
         spread = max(values[:3]) - min(values[:3])
-        return Convergence(value, value, 0.0, _SAFETY_OF_TWO * spread, "running apart")
-    used = min(max(order, _LEAST_ORDER), _MOST_ORDER)
+        return Convergence(value, value, 0.0, CONVERGENCE.two * spread, "running apart")
+    used = min(max(order, CONVERGENCE.least), CONVERGENCE.most)
     step = change / (ratio**used - 1)
     if change * before < 0:
         spread = max(values[:3]) - min(values[:3])
-        return Convergence(value, value, order, max(_SAFETY_OF_THREE * abs(step), spread / 2), "oscillating")
-    return Convergence(value, value + step, order, _SAFETY_OF_THREE * abs(step), "monotone")
+        return Convergence(value, value, order, max(CONVERGENCE.three * abs(step), spread / 2), "oscillating")
+    return Convergence(value, value + step, order, CONVERGENCE.three * abs(step), "monotone")

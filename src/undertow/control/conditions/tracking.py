@@ -43,19 +43,26 @@ from .commands import numeric_matrix, sizes_and_signs, terms_of
 from .problem import Problem, Span, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
 
-# The numbers that decide on missions.
-# Velocities up to this multiple of the limits of the mission are covered: the reference, and as much
-# of error.
-_VELOCITY_FACTOR = 2.0
-_IOTA_COUNT = 12  # values of iota that are tried in the range which serves a set-point
-_MAX_PRODUCTS = 3  # products of velocities in D at most, each of which doubles the corners
-_COMMAND_SAMPLES = 400  # times at which the commands on the reference are looked at
-_DT = 0.02  # sampling interval of the loop on legs, s: what autopilots have
-# A leg is followed for so many times the slowest of lookahead / speed and lookahead / integral, so that
-# what is left of the start is below _STEADY_CHANGE of it.
-_TIME_CONSTANTS = 30.0
-_LONGEST_SIMULATION = 2000.0  # s, at most
-_STEADY_CHANGE = 1e-6  # change in a second that counts as steady, m, rad, m/s and rad/s
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """The numbers that decide on missions."""
+
+    # Velocities up to this multiple of the limits of the mission are covered: the reference, and as much
+    # of error.
+    velocity_factor: float = 2.0
+    iotas: int = 12  # values of iota that are tried in the range which serves a set-point
+    max_products: int = 3  # products of velocities in D at most, each of which doubles the corners
+    samples: int = 400  # times at which the commands on the reference are looked at
+    dt: float = 0.02  # sampling interval of the loop on legs, s: what autopilots have
+    # A leg is followed for so many times the slowest of lookahead / speed and lookahead / integral, so that
+    # what is left of the start is below `steady_change` of it.
+    time_constants: float = 30.0
+    longest_simulation: float = 2000.0  # s, at most
+    steady_change: float = 1e-6  # change in a second that counts as steady, m, rad, m/s and rad/s
+
+
+TRACKING = TrackingSettings()
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,7 @@ def speeds(problem: Problem, mission: Mission) -> Array:
     """Velocities that are covered, shape (n,), m/s and rad/s."""
     own = problem.plant.vehicle.dof_indices
     limits = mission.limits
-    return _VELOCITY_FACTOR * np.array([limits.speed if i < 3 else limits.turn_rate for i in own])
+    return TRACKING.velocity_factor * np.array([limits.speed if i < 3 else limits.turn_rate for i in own])
 
 
 def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
@@ -267,7 +274,7 @@ class DecreaseCondition:
         place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
         low, high = max(span[0], 1e-6), min(span[1], 1e6)
         for _ in range(2):  # the margin is concave in iota
-            iotas = np.geomspace(low, high, _IOTA_COUNT + 2)
+            iotas = np.geomspace(low, high, TRACKING.iotas + 2)
             k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))
             low, high = iotas[k - 1], iotas[k + 1]
         return float(iotas[k])
@@ -311,7 +318,7 @@ def corners(problem: Problem, most: Array) -> tuple[Array, Array, bool]:
         products = _velocity_products(plant, most)
     except UndertowError:
         return nu, damping, False
-    if len(products) > _MAX_PRODUCTS:
+    if len(products) > TRACKING.max_products:
         return nu, damping, False
     monomials = np.concatenate([nu, np.abs(nu), signs], axis=1)
     for powers, (matrix, lowest, largest) in products.items():
@@ -351,7 +358,7 @@ def _command_row(gains: GainSet, reference: TimedReference) -> MissionRow:
     controller = Controller(_with_boundary_layer(gains), reference)
     limits, profile = controller.allocation.limits, reference.profile
     share = controller.allocation.B_inverse
-    t = np.unique(np.concatenate([np.linspace(0, profile.duration, _COMMAND_SAMPLES), profile.knots]))
+    t = np.unique(np.concatenate([np.linspace(0, profile.duration, TRACKING.samples), profile.knots]))
     force = _reference_force(controller, profile.at(t), profile.at(t, 1), t)
     commands = np.abs(force @ share.T) + _jump_commands(gains, profile.at(t), share)
     parts = commands / limits
@@ -462,7 +469,7 @@ def _leg_row(
     along: Array,
 ) -> MissionRow:
     """Poles of vehicle, autopilot and guidance together on a leg without end, for all of its direction."""
-    far = 10 * _LONGEST_SIMULATION * mission.limits.speed
+    far = 10 * TRACKING.longest_simulation * mission.limits.speed
     direction = along / np.linalg.norm(along)
     endless = LineOfSight(
         reference.names,
@@ -480,14 +487,14 @@ def _leg_row(
         "Vehicle, autopilot and line of sight, linearised at their steady straight motion in the current of "
         "the mission: small errors die out. It says nothing of turns and of limits that are met."
     )
-    if not change <= _STEADY_CHANGE:
+    if not change <= TRACKING.steady_change:
         text = f"no steady motion was found: it still changes by {change:.3g} in a second"
         return MissionRow(leg, statement, about, "linearisation", -change, FAILS, text)
     slope = _in_leg_coordinates(
         np.asarray(step.factory("A", ["z"], ["jac:after:z"])(state)), names, direction
     )
     relevant = _relevant_states(slope, names, vehicle)
-    poles = np.log(np.linalg.eigvals(slope[np.ix_(relevant, relevant)]).astype(complex)) / _DT
+    poles = np.log(np.linalg.eigvals(slope[np.ix_(relevant, relevant)]).astype(complex)) / TRACKING.dt
     slowest = poles[int(np.argmax(poles.real))]
     where = f"the slowest is {slowest.real:.4g} ± {abs(slowest.imag):.4g}i 1/s"
     margin = -float(slowest.real) - SETTINGS.slowest_decay
@@ -501,7 +508,7 @@ def _sampled_map(parts: Parts) -> tuple[ca.Function, list[str]]:
     z = ca.MX.sym("z", nx + control.size1_in("s"))
     zero, reported = ca.DM.zeros(nu), ca.DM.zeros(len(parts.reported_names))
     inputs = (zero, reported, 0, 0, 0, parts.parameters, parts.controller.mission_numbers, parts.gains)
-    x, s, *_ = sample_of(parts, _DT)(z[:nx], z[nx:], zero, *inputs)
+    x, s, *_ = sample_of(parts, TRACKING.dt)(z[:nx], z[nx:], zero, *inputs)
     names = [*f.state_names, *parts.controller.state_names]
     return ca.Function("step", [z], [ca.vertcat(x, s)], ["z"], ["after"]).expand(), names
 
@@ -514,14 +521,14 @@ def _steady_state(
     slow = max(
         guidance.lookahead / speed, guidance.lookahead / guidance.integral if guidance.integral else 0.0
     )
-    count = int(min(_TIME_CONSTANTS * slow, _LONGEST_SIMULATION) / _DT)
+    count = int(min(TRACKING.time_constants * slow, TRACKING.longest_simulation) / TRACKING.dt)
     names = parts.vehicle.pose_names
     known = dict(zip(reference.names, reference.start, strict=True))
     start = np.array([known.get(n, 0.0) for n in names] + [0.0] * len(names))
     start[len(names) + names.index("x")] = speed
     x = parts.at_rest(start[None], parts.parameters[None])[0]
     z = np.concatenate([x, parts.controller.initial_states()])
-    second = round(1 / _DT)
+    second = round(1 / TRACKING.dt)
     far = step.mapaccum("far", max(count - second, 1))
     with np.errstate(all="ignore"):
         before = np.asarray(far(z))[:, -1]

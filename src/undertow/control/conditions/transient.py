@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -35,21 +36,28 @@ from .responses import SETTINGS as KERNELS
 from .responses import Kernels, Modes, Responses, modes, time_grid
 from .result import Transient
 
-# How bounds in time are searched for; none of these numbers decides what is proved.
-# Where gains tell north from east: ranges of the set-points' headings in half a turn, and how often each
-# is cut in two before it is given up.
-_HEADING_RANGES = 16
-_PROBE_HEADINGS = 8  # single headings in half a turn that are looked at before any range of them
-_MOST_CUTS = 3
-# Angles up to which what is left over is bounded, times those of the start.
-_CAPS = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
-# What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
-_LEAST_SHARE = 0.1
-_LEAST_ANGLE = 0.02
-_LARGEST_HEADING = np.pi / 2  # error of the heading that is tried at most, rad
-_ROUNDS = 12  # in which a bound of one piece of time has to be found, and
-_GROWTH = 1.05  # how much is added in each, relative
-_ROOM = 1e-6  # in every bound, relative: more than all rounding of sums of positive numbers
+
+@dataclass(frozen=True)
+class TransientSettings:
+    """How bounds in time are searched for; none of these numbers decides what is proved."""
+
+    # Where gains tell north from east: ranges of the set-points' headings in half a turn, and how often each
+    # is cut in two before it is given up.
+    ranges: int = 16
+    probe_headings: int = 8  # single headings in half a turn that are looked at before any range of them
+    cuts: int = 3
+    # Angles up to which what is left over is bounded, times those of the start.
+    caps: tuple[float, ...] = (0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
+    # What counts as the start of an angle at least, so that it may be moved: a part of the largest, and rad.
+    least_share: float = 0.1
+    least_angle: float = 0.02
+    largest_heading: float = np.pi / 2  # error of the heading that is tried at most, rad
+    rounds: int = 12  # in which a bound of one piece of time has to be found, and
+    growth: float = 1.05  # how much is added in each, relative
+    room: float = 1e-6  # in every bound, relative: more than all rounding of sums of positive numbers
+
+
+SETTINGS = TransientSettings()
 
 
 class Signals(NamedTuple):
@@ -124,7 +132,7 @@ class Sector:
         """Bound on what is left of the start in each piece of time, (pieces, signals)."""
         every, errors = np.arange(len(self.rows)), range(*self.signals.error.indices(len(self.rows)))
         per_error = np.array([responses.pieces(every, np.full(len(every), e)) for e in errors])
-        return self.starts.linear(per_error).T * (1 + _ROOM)
+        return self.starts.linear(per_error).T * (1 + SETTINGS.room)
 
     def driven(self, times: Array) -> list[DrivenMotion]:
         """Motion of second order in the start, and of first order in the heading."""
@@ -197,7 +205,7 @@ class PushBounds:
         new = new + (self._heading_error(known.rest, B) + _matvec(self.rounded, B[:, at.z])) @ self.inverse.T
         found = _matvec(self.residual, B[:, at.z]) + known.defect
         found[:, at.rate] += new + nonlinear + _matvec(J, signed + body @ self.motion.inertia_variation.T)
-        return np.where(np.asarray(capped.any(axis=1))[:, None], found * (1 + _ROOM), np.inf)
+        return np.where(np.asarray(capped.any(axis=1))[:, None], found * (1 + SETTINGS.room), np.inf)
 
     def _rounded(self, B: Array) -> Array:
         """What rounding of the form of second order comes to, any entry of which may be off."""
@@ -250,7 +258,7 @@ class PushBounds:
         tangents = motion.commands.restoring_slopes({a: plus_minus(e) for a, e in own.items()})
         difference = (tangents - motion.commands.restoring_slopes({}).middle).magnitude
         angles = np.stack([own.get(a, np.zeros(len(errors))) for a in ("phi", "theta")], axis=-1)
-        return (np.einsum("kma,ka->km", difference, angles) * (1 + _ROOM)).reshape(shape)
+        return (np.einsum("kma,ka->km", difference, angles) * (1 + SETTINGS.room)).reshape(shape)
 
 
 def _matvec(matrices: Array, vectors: Array) -> Array:
@@ -369,22 +377,24 @@ class Tubes:
         rest = _matvec(self.tail, self.lag)
         np.add.at(rest.T, self.signals, np.maximum(own, 0.0).T)
         self.earlier = later
-        return rest * (1 + _ROOM), self._as_matrices(later[i]), self.last
+        return rest * (1 + SETTINGS.room), self._as_matrices(later[i]), self.last
 
     def _bound_piece(
         self, i: int, rest: Array, gain: Array, since: Array, tail: Array
     ) -> tuple[Array, Array]:
         """Bounds on signals and pushes that what they let happen does not leave; what grows is dropped."""
         most, rest = self.last.copy(), self.rest[i] + self._all_signals(rest)
-        for _ in range(_ROUNDS):
+        for _ in range(SETTINGS.rounds):
             more = _matvec(gain, np.maximum(most - since, 0.0)) + _matvec(tail, most)
-            one = SignalBounds(self.first[i], rest + self._all_signals(more) * (1 + _ROOM), self.defect[i])
+            one = SignalBounds(
+                self.first[i], rest + self._all_signals(more) * (1 + SETTINGS.room), self.defect[i]
+            )
             push = self.bounds.push(one)
             grows = ~(push <= most).all(axis=1)
             self.valid &= np.isfinite(push).all(axis=1)
             if not (grows & self.valid).any():
                 break
-            most = np.where(self.valid[:, None], np.maximum(most, _GROWTH * push), most)
+            most = np.where(self.valid[:, None], np.maximum(most, SETTINGS.growth * push), most)
         self.valid &= ~grows
         return one.total, np.where(self.valid[:, None], push, 0.0)
 
@@ -398,13 +408,13 @@ def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | 
         return search.cover([(0.0, 0.0)], 0)
     # A half turn in the plane changes no bound; nor does a mirror, where port is as starboard.
     turn, share = (0.5 * np.pi, 2) if search.motion.mirror_symmetric else (np.pi, 1)
-    probes, ranges = (_ranges(turn, count // share) for count in (_PROBE_HEADINGS, _HEADING_RANGES))
+    probes, ranges = (_ranges(turn, count // share) for count in (SETTINGS.probe_headings, SETTINGS.ranges))
     unbounded = [(h, 0.0) for h, _ in probes]
     for k, ratio in enumerate(KERNELS.ratios):
         unbounded = search.unbounded(unbounded, [], ratio)
         if not unbounded:
             # What coarser pieces of time do not prove of a single heading, they prove of no range around it.
-            return search.cover(ranges, _MOST_CUTS, KERNELS.ratios[k:])
+            return search.cover(ranges, SETTINGS.cuts, KERNELS.ratios[k:])
     return None
 
 
@@ -455,10 +465,14 @@ class TubeSearch:
     def __init__(self, motion: PoseLoop, box: Array) -> None:
         self.motion, self.starts = motion, StartBox(box, motion.plane)
         # Caps on the angles, from small to large.
-        most = [_LARGEST_HEADING if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles]
+        most = [
+            SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles
+        ]
         own = box[motion.angle_indices]
-        own = np.maximum(own, max(_LEAST_SHARE * own.max(initial=0.0), _LEAST_ANGLE))
-        self.caps = np.array([np.minimum(c * own, most) for c in _CAPS]).reshape(len(_CAPS), -1)
+        own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
+        self.caps = np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(
+            len(SETTINGS.caps), -1
+        )
         self.slopes = motion.derivatives(self.caps)
 
     def cover(

@@ -17,19 +17,26 @@ from scipy.optimize import minimize_scalar
 from undertow.errors import UndertowError
 from undertow.typing import Array
 
-# Tolerances for zero in linear systems, and ranges of curves.
-_RANK_TOLERANCE = 1e-9  # singular values below this part of the largest are rounding
-_ROUNDING = 1e-14  # entries of a sampled A less the identity up to this are rounding
-_REACH_TOLERANCE = 1e-6  # a state with a smaller part in what is reached is not reached at all
-# Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
-_NAMED_SHARE = 0.1
-_AT_ZERO = 1e-10  # real parts up to this do not grow, 1/s
-# Gain margins beyond these are at the ends of the frequency axis, from rounding.
-_GAIN_FACTORS = (1e-6, 1e6)
-_CURVE_POINTS = 600  # of a curve
-_DECADES_BEYOND = 1.5  # that a frequency response goes beyond the slowest and the fastest pole
-_TIME_CONSTANTS_SHOWN = 5.0  # of the slowest mode that a step response shows
-_LONGEST_RESPONSE = 600.0  # longest step response, s
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """Tolerances for zero in linear systems, and ranges of curves."""
+
+    rank: float = 1e-9  # singular values below this part of the largest are rounding
+    rounding: float = 1e-14  # entries of a sampled A less the identity up to this are rounding
+    reach_tolerance: float = 1e-6  # a state with a smaller part in what is reached is not reached at all
+    # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
+    share: float = 0.1
+    at_zero: float = 1e-10  # real parts up to this do not grow, 1/s
+    # Gain margins beyond these are at the ends of the frequency axis, from rounding.
+    factors: tuple[float, float] = (1e-6, 1e6)
+    points: int = 600  # of a curve
+    decades: float = 1.5  # that a frequency response goes beyond the slowest and the fastest pole
+    time_constants: float = 5.0  # of the slowest mode that a step response shows
+    longest: float = 600.0  # longest step response, s
+
+
+SETTINGS = AnalysisSettings()
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ class Mode:
     @property
     def stable(self) -> bool:
         """Whether it does not grow; a pole at zero (z = 1) is a place or heading that nothing holds."""
-        return self.rate.real <= _AT_ZERO
+        return self.rate.real <= SETTINGS.at_zero
 
 
 def _rate(pole: complex, dt: float) -> complex:
@@ -109,7 +116,7 @@ def modes(system: ct.StateSpace) -> list[Mode]:
     names, kept = system.state_labels, list(range(system.nstates))
     found: list[tuple[complex, tuple[str, ...]]] = []
     a, dt = slopes(system), sampling_time(system)
-    zero = _ROUNDING / dt if dt else 0.0
+    zero = SETTINGS.rounding / dt if dt else 0.0
     while True:
         idle = [i for i in kept if not np.any(np.abs(a[kept, i]) > zero)]
         if not idle:
@@ -126,21 +133,21 @@ def _modes(a: Array, names: list[str]) -> list[tuple[complex, tuple[str, ...]]]:
         return []
     poles, right = np.linalg.eig(a)
     participation = np.abs(right * np.linalg.pinv(right).T)
-    participation = participation / participation.max(axis=0, initial=_RANK_TOLERANCE)
+    participation = participation / participation.max(axis=0, initial=SETTINGS.rank)
     scale = float(np.max(np.abs(poles)))
     result = []
     for k, pole in enumerate(poles):
-        if pole.imag < -_RANK_TOLERANCE * scale:
+        if pole.imag < -SETTINGS.rank * scale:
             continue
         order = sorted(range(len(names)), key=lambda i: -participation[i, k])
-        states = tuple(names[i] for i in order if participation[i, k] > _NAMED_SHARE)
+        states = tuple(names[i] for i in order if participation[i, k] > SETTINGS.share)
         result.append((_rounded_off(complex(pole), scale), states))
     return result
 
 
 def _rounded_off(pole: complex, scale: float) -> complex:
     """A pole without the noise of rounding."""
-    real, imaginary = (0.0 if abs(v) < _RANK_TOLERANCE * scale / 10 else v for v in (pole.real, pole.imag))
+    real, imaginary = (0.0 if abs(v) < SETTINGS.rank * scale / 10 else v for v in (pole.real, pole.imag))
     return complex(real, imaginary)
 
 
@@ -171,8 +178,10 @@ def _subspace(system: ct.StateSpace, a: Array, b: Array) -> Subspace:
     names, dt = system.state_labels, sampling_time(system)
     basis = reachable(a, b)
     others = np.eye(len(names)) - basis @ basis.T
-    missing = [n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < _REACH_TOLERANCE]
-    mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > _NAMED_SHARE]
+    missing = [
+        n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reach_tolerance
+    ]
+    mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
     # The slowest time constant that decays, s.
     rates = [_rate(p, sampling_time(system)).real for p in np.linalg.eigvals(system.A)]
     decaying = [-1 / r for r in rates if r < -1e-6]
@@ -198,7 +207,7 @@ def reachable(a: Array, b: Array) -> Array:
 
 def _range_basis(columns: Array) -> Array:
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, singular > _RANK_TOLERANCE]
+    return left[:, singular > SETTINGS.rank]
 
 
 def gramian(a: Array, b: Array, horizon: float) -> Array:
@@ -273,7 +282,7 @@ def margins(loop: ct.StateSpace) -> Margins:
         return _NO_LOOP
     gains, phases, distances, crossings = _crossings(loop)
     stable = _closes_stably(loop)
-    low, high = _GAIN_FACTORS
+    low, high = SETTINGS.factors
     factors = [float(g) for g in gains if low < abs(g) < high]
     delays = [np.radians(p % 360.0) / w for p, w in zip(phases, crossings, strict=True) if w > 0]
     return Margins(
@@ -303,7 +312,7 @@ def _crossings(loop: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
 
 def _closes_stably(loop: ct.StateSpace) -> bool:
     closed = ct.feedback(loop, np.eye(loop.noutputs))
-    return all(_rate(complex(p), sampling_time(loop)).real <= _AT_ZERO for p in closed.poles())
+    return all(_rate(complex(p), sampling_time(loop)).real <= SETTINGS.at_zero for p in closed.poles())
 
 
 def multiloop_disk_margin(loop: ct.StateSpace) -> float:
@@ -370,9 +379,9 @@ def frequencies(systems: list[ct.StateSpace]) -> Array:
     sizes = [size for size in sizes if 1e-4 < size < inf]
     low, high = min(sizes, default=0.1), max(sizes, default=10.0)
     # From half the sampling frequency on the response repeats; rounding may not go beyond it.
-    half = [(1 - _RANK_TOLERANCE) * np.pi / sampling_time(s) for s in systems if sampling_time(s)]
-    end = min(half, default=high * 10**_DECADES_BEYOND)
-    return np.geomspace(min(low, end) * 10**-_DECADES_BEYOND, end, _CURVE_POINTS)
+    half = [(1 - SETTINGS.rank) * np.pi / sampling_time(s) for s in systems if sampling_time(s)]
+    end = min(half, default=high * 10**SETTINGS.decades)
+    return np.geomspace(min(low, end) * 10**-SETTINGS.decades, end, SETTINGS.points)
 
 
 def response(name: str, system: ct.StateSpace, omega: Array) -> Curve:
@@ -389,18 +398,18 @@ def singular_values(system: ct.StateSpace, omega: Array) -> Array:
 def duration(systems: list[ct.StateSpace]) -> float:
     """Duration of a step response: a few of the slowest time constants, s."""
     reals = [abs(m.rate.real) for s in systems for m in modes(s) if 1e-6 < abs(m.rate.real) < inf]
-    return float(min(_TIME_CONSTANTS_SHOWN / min(reals, default=1.0), _LONGEST_RESPONSE))
+    return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
 def step(name: str, system: ct.StateSpace, seconds: float) -> Curve:
     """The unit step response of a system with one input and one output."""
     dt = sampling_time(system)
-    times = np.arange(ceil(seconds / dt) + 1) * dt if dt else np.linspace(0.0, seconds, _CURVE_POINTS)
+    times = np.arange(ceil(seconds / dt) + 1) * dt if dt else np.linspace(0.0, seconds, SETTINGS.points)
     t, y = ct.step_response(system, times, squeeze=True)
     return Curve(name, np.asarray(t), np.asarray(y).ravel())
 
 
 def locus(system: ct.StateSpace) -> NDArray[np.complex128]:
     """Poles (n, order) of a loop closed with n gains times the system."""
-    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * _CURVE_POINTS)])
+    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * SETTINGS.points)])
     return np.asarray(ct.root_locus_map(system, gains=gains).loci)

@@ -66,22 +66,28 @@ def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) ->
         raise UndertowError(f"{name} = {value:g} (SI) is too large for a steady motion: stay within {most:g}")
 
 
-# Preferences of a trim, and tolerances.
-# Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt.
-_DRIFT_PRICE = 1e2
-_TILT_PRICE = 1.0  # the same of a pose coordinate: tilt is avoided before command
-_COMMAND_PRICE = 1e-4  # the same of a command
-_EFFECT_STATE_PRICE = 1e-6  # the same of a state of an effect
-# From which the search begins where speed and heading are to be found: m/s, degrees.
-_FIRST_SPEEDS = (0.0, 0.5)
-_FIRST_HEADINGS = (0.0, 90.0, 180.0, -90.0)
-_TOLERANCE = 1e-9  # rates of change below this are none, SI
-_ROUNDS = 12  # Newton's steps, and halvings of each
-# Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
-_NEGLIGIBLE = 5e-3
-# Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
-_STEADY_CHANGE = 1e-7
-_AT_REST = 1e-9  # speed through the water, m/s, and turning rate, rad/s, that are rounding
+@dataclass(frozen=True)
+class TrimSettings:
+    """Preferences of a trim, and tolerances."""
+
+    # Price of the square of a velocity that is not held, (m/s)^-2: drift is avoided before tilt.
+    drift: float = 1e2
+    tilt: float = 1.0  # the same of a pose coordinate: tilt is avoided before command
+    command: float = 1e-4  # the same of a command
+    effect_state: float = 1e-6  # the same of a state of an effect
+    # From which the search begins where speed and heading are to be found: m/s, degrees.
+    speeds: tuple[float, ...] = (0.0, 0.5)
+    headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
+    tolerance: float = 1e-9  # rates of change below this are none, SI
+    rounds: int = 12  # Newton's steps, and halvings of each
+    # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
+    negligible: float = 5e-3
+    # Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
+    steady: float = 1e-7
+    at_rest: float = 1e-9  # speed through the water, m/s, and turning rate, rad/s, that are rounding
+
+
+SETTINGS = TrimSettings()
 
 
 class Balance:
@@ -113,8 +119,10 @@ class Balance:
 
     def _weight(self, name: str) -> float:
         if name in self.numeric.commands:
-            return _COMMAND_PRICE
-        return _DRIFT_PRICE if name in VELOCITY else _TILT_PRICE if name in POSE else _EFFECT_STATE_PRICE
+            return SETTINGS.command
+        return (
+            SETTINGS.drift if name in VELOCITY else SETTINGS.tilt if name in POSE else SETTINGS.effect_state
+        )
 
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Limits of each unknown: what thrusters can give."""
@@ -144,7 +152,7 @@ class Balance:
 
     def is_steady(self, y: Array) -> bool:
         """Whether a motion is steady."""
-        return self.residual(y) < _TOLERANCE
+        return self.residual(y) < SETTINGS.tolerance
 
 
 def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array]:
@@ -159,7 +167,7 @@ def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array
     best = min(inside, key=lambda y: float(balance.weights @ y**2))
     # The motion with no drift and no tilt at all where they are negligible.
     names = [balance.names[i] for i in balance.unknown]
-    faint = [n for n, v in zip(names, best, strict=True) if abs(v) < _NEGLIGIBLE]
+    faint = [n for n, v in zip(names, best, strict=True) if abs(v) < SETTINGS.negligible]
     small = [n for n in faint if n in (*POSE, *VELOCITY)]
     held = dict(balance.request.held) | dict.fromkeys(small, 0.0)
     upright = Balance(balance.numeric, replace(balance.request, held=held))
@@ -176,7 +184,7 @@ def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
     for name, value in zip(balance.numeric.commands, () if commands is None else commands, strict=False):
         if name in index_of:
             begin[index_of[name]] = value
-    values_of = {"u": _FIRST_SPEEDS, "psi": tuple(np.radians(_FIRST_HEADINGS))}
+    values_of = {"u": SETTINGS.speeds, "psi": tuple(np.radians(SETTINGS.headings))}
     names = [n for n in values_of if n in index_of]
     starts = []
     for values in product(*(values_of[n] for n in names)):
@@ -206,12 +214,12 @@ def _minimised(balance: Balance, y: Array) -> Array:
 
 def _polished(balance: Balance, y: Array) -> Array:
     """The last digits: Newton's steps onto F = 0, then along it to the least price."""
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         y = _newton_step(balance, y)
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         inverse, target, scale = _linearised(balance, y)
         cheaper = scale * (inverse @ (target - balance(y)))
-        if not balance.residual(cheaper) < _TOLERANCE / 10:
+        if not balance.residual(cheaper) < SETTINGS.tolerance / 10:
             break
         y = cheaper
     return y
@@ -230,7 +238,7 @@ def _newton_step(balance: Balance, y: Array) -> Array:
     before = balance.residual(y)
     inverse, _, scale = _linearised(balance, y)
     step = -scale * (inverse @ balance(y))
-    tries = (y + step / 2**k for k in range(_ROUNDS))
+    tries = (y + step / 2**k for k in range(SETTINGS.rounds))
     return next((t for t in tries if balance.residual(t) < before), y)
 
 
@@ -382,13 +390,15 @@ def _find(
     resting = [
         name
         for name in reversing(directed)
-        if name not in direction and abs(_through_water(numeric, x, name)) < _AT_REST
+        if name not in direction and abs(_through_water(numeric, x, name)) < SETTINGS.at_rest
     ]
     if resting:
         return _find(vehicle, request, direction | dict.fromkeys(resting, 1))
     states, commands = dict(zip(numeric.states, x, strict=True)), dict(zip(numeric.commands, u, strict=True))
     rates = numeric.rate(0.0, x, u)
-    turning = any(abs(r) > _AT_REST for n, r in zip(numeric.states, rates, strict=True) if n in POSE[3:])
+    turning = any(
+        abs(r) > SETTINGS.at_rest for n, r in zip(numeric.states, rates, strict=True) if n in POSE[3:]
+    )
     ineffective = tuple(
         n
         for n, felt in zip(numeric.commands, np.any(numeric.slopes(x, u)[2], axis=0), strict=True)
@@ -435,8 +445,8 @@ def _check_steady(numeric: Numeric, x: Array, u: Array) -> None:
     rate, slopes, _, _ = numeric.slopes(x, u)
     n = len(numeric.vehicle.pose_names)
     change = slopes[n:, :n] @ rate[:n]
-    if np.max(np.abs(change), initial=0.0) > _STEADY_CHANGE:
-        felt = (abs(rate[:n]) > _AT_REST) & np.any(slopes[n:, :n], axis=0)
+    if np.max(np.abs(change), initial=0.0) > SETTINGS.steady:
+        felt = (abs(rate[:n]) > SETTINGS.at_rest) & np.any(slopes[n:, :n], axis=0)
         changing = [numeric.states[i] for i in np.flatnonzero(felt)]
         raise UndertowError(
             f"no steady motion: forces change with {', '.join(changing)}, which keeps changing (a turn in a "
