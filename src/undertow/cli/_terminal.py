@@ -116,8 +116,8 @@ _GAP, _APART = "  ", "   "
 _NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
 
 
-# When a table that is too wide keeps its columns, in letters: one wider than _PROSE holds sentences, which
-# may be wrapped (numbers are shorter), but not into less than _LEAST: then cells of a row stand below each
+# When a table that is too wide keeps its columns, in letters: one wider than _PROSE holds sentences, which may
+# be wrapped (numbers are shorter), but not into less than _LEAST: then the cells of a row stand below each
 # other.
 _PROSE, _LEAST = 30, 24
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
@@ -119,14 +120,21 @@ def _example_of_jacobians(c: Dialect, functions: Functions) -> str:
 
 
 # --- thrusters -----------------------------------------------------------------------------------------
-# points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %
-_POINTS = 33
-# neutral, span: servo pulse without thrust and from there to full thrust, microseconds: that of common
-# motor controllers, 1100 to 1900
-_NEUTRAL = 1500.0
-_SPAN = 400.0
-# command up to which a thruster without curve and limit follows its line: beyond any thrust
-_REACH = 1e6
+@dataclass(frozen=True)
+class ThrusterSettings:
+    """Numbers of thrusters in C."""
+
+    # points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %
+    points: int = 33
+    # neutral, span: servo pulse without thrust and from there to full thrust, microseconds: that of common
+    # motor controllers, 1100 to 1900
+    neutral: float = 1500.0
+    span: float = 400.0
+    # command up to which a thruster without curve and limit follows its line: beyond any thrust
+    reach: float = 1e6
+
+
+SETTINGS = ThrusterSettings()
 
 
 def has_inverse(thruster: Thruster) -> bool:
@@ -148,8 +156,8 @@ def thrusters_c(c: Dialect, vehicle: Vehicle) -> Part:
     template = (files("undertow.codegen") / "templates" / "thrusters.c").read_text(encoding="utf-8")
     tail = fill(template, {"LOWER": n, "UPPER": n.upper()})
     numbers = {
-        "neutral": (_NEUTRAL, "microseconds without thrust"),
-        "span": (_SPAN, "microseconds from there to full thrust"),
+        "neutral": (SETTINGS.neutral, "microseconds without thrust"),
+        "span": (SETTINGS.span, "microseconds from there to full thrust"),
         "full_command": (full, "command of full thrust"),
     }
     members = "".join(f"  {real} {name}; /* {words} */\n" for name, (_, words) in numbers.items())
@@ -182,13 +190,13 @@ def _inverse(thruster: Thruster) -> tuple[Array, Array]:
     """Thrusts that rise, and the commands that give them."""
     scale = thruster.thrust_per_command.value
     if isinstance(thruster.law, Curve):
-        curve, half = thruster.law, _POINTS // 2 + 1
+        curve, half = thruster.law, SETTINGS.points // 2 + 1
         least, most = (curve.at(e) for e in (curve.pieces[0][0], curve.pieces[-1][1]))
         # Zero is a point of its own: the dead band of a curve is left at its middle.
         forces = np.unique(np.concatenate([np.linspace(least, 0, half), np.linspace(0, most, half)]))
         commands = np.array([curve.inverse(float(v)) for v in forces])
     else:
-        forces = commands = np.array([-1.0, 1.0]) * (thruster.limit or _REACH)
+        forces = commands = np.array([-1.0, 1.0]) * (thruster.limit or SETTINGS.reach)
     order = np.argsort(forces * scale)  # one that is mounted backwards pushes back where its curve rises
     return (forces * scale)[order], commands[order]
 

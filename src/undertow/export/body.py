@@ -233,10 +233,17 @@ def numbers(*values: float) -> str:
 
 
 # --- damping and lift as terms of first and second order in the velocities ----------------------
-_ROUNDING = 1e-9  # part of the largest force below which a misfit or a coefficient is rounding
-_DIGITS = 12  # of a coefficient
-_POINTS = 200  # velocities at which forces are compared: more than the 69 terms
-_SEED = 1  # of these velocities
+@dataclass(frozen=True)
+class DragSettings:
+    """Numbers of the fit."""
+
+    rounding: float = 1e-9  # part of the largest force below which a misfit or a coefficient is rounding
+    digits: int = 12  # of a coefficient
+    points: int = 200  # velocities at which forces are compared: more than the 69 terms
+    seed: int = 1  # of these velocities
+
+
+SETTINGS = DragSettings()
 
 
 @dataclass(frozen=True)
@@ -267,20 +274,20 @@ class Drag:
 def fit(body: Body) -> dict[str, Drag]:
     """Terms of every effect of damping; what has no such terms is added to the losses of the body."""
     terms = _terms()
-    rng = np.random.default_rng(_SEED)
-    nu = rng.uniform(-1, 1, (_POINTS, 6))
+    rng = np.random.default_rng(SETTINGS.seed)
+    nu = rng.uniform(-1, 1, (SETTINGS.points, 6))
     nu[:, [i for i in range(6) if i not in body.rows]] = 0.0
     table = np.array([term(nu) for _, term in terms]).T
     drags = {}
     for effect in body.effects("damping"):
         force = body.wrench((effect.id,), nu, np.zeros_like(nu))
         found = np.linalg.lstsq(table, force, rcond=None)[0]
-        largest = _ROUNDING * max(float(np.abs(force).max()), 1e-300)
+        largest = SETTINGS.rounding * max(float(np.abs(force).max()), 1e-300)
         if np.abs(table @ found - force).max() > largest:
             body.losses.append(f"{effect.id} is left out: it has no terms of second order in {body.program}")
             continue
         found[np.abs(found) <= largest] = 0.0
-        found = np.array([float(f"{v:.{_DIGITS}g}") for v in found.flat]).reshape(found.shape)
+        found = np.array([float(f"{v:.{SETTINGS.digits}g}") for v in found.flat]).reshape(found.shape)
         even = [k for k, (place, _) in enumerate(terms) if place[0] == "magnitude"]
         if found[even].any():
             body.losses.append(f"{effect.id} differs forward and backward: its mean is taken")

@@ -353,12 +353,18 @@ def two_sided_p(value: float, error: float, freedom: float) -> float:
 
 
 # --- verdicts ------------------------------------------------------------------------------------------
-# When a change is stated.
-_ALPHA = 0.01  # chance of a single false statement in a whole report
-_WORTH = 0.25  # relative change that leaves everything open if it would not have been seen
-# share of the growth of drag in one motion below which another contradicts fouling
-_CONTRADICTS = 0.3
-_SHOWN = 4  # causes that a line has room for
+@dataclass(frozen=True)
+class ChangeCriteria:
+    """When a change is stated."""
+
+    alpha: float = 0.01  # chance of a single false statement in a whole report
+    worth: float = 0.25  # relative change that leaves everything open if it would not have been seen
+    # share of the growth of drag in one motion below which another contradicts fouling
+    contradicts: float = 0.3
+    shown: int = 4  # causes that a line has room for
+
+
+CRITERIA = ChangeCriteria()
 
 
 Answer = Literal["grew", "none seen", "cannot tell"]
@@ -391,7 +397,7 @@ def statements(asked: Sequence[SpanTest]) -> list[Statement]:
     alone: twice as many as there are changes.
     """
     every = [c.p_value for a in asked for c in a.changes] + [c.alone for a in asked for c in a.changes]
-    limit = holm(every, _ALPHA)
+    limit = holm(every, CRITERIA.alpha)
     return [_statement(a, limit) for a in asked]
 
 
@@ -431,8 +437,8 @@ def _statement(asked: SpanTest, limit: float) -> Statement:
 
 def _listed(causes: Sequence[tuple[str, ...]]) -> str:
     text = [" with ".join(_CAUSES.get(n, n) for n in cause) for cause in causes]
-    more = [f"{len(text) - _SHOWN} more"] if len(text) > _SHOWN else []
-    return " or ".join([*text[:_SHOWN], *more])
+    more = [f"{len(text) - CRITERIA.shown} more"] if len(text) > CRITERIA.shown else []
+    return " or ".join([*text[: CRITERIA.shown], *more])
 
 
 def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
@@ -441,7 +447,7 @@ def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
     A single cause that explains all is preferred to two. A cause is excluded if, given it, something else is
     significant at 1 %.
     """
-    of, span, out = asked.of, asked.span, _ALPHA / max(len(asked.changes), 1)
+    of, span, out = asked.of, asked.span, CRITERIA.alpha / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
     single: list[tuple[str, ...]] = [(k,) for k in kinds if of.explains_all(span, of.of(k), "", out)]
     single += [(e,) for e in of.rivals() if of.explains_all(span, [], e, out)]
@@ -461,10 +467,10 @@ def _nothing(asked: SpanTest, limit: float) -> Statement:
     """Nothing significant: because nothing changed, or because it would not have been detected."""
     kinds = [k for k in KINDS if k != "inertia" and any(c.direction.kind == k for c in asked.changes)]
     halves = {k: _half_widths(asked, k, limit) for k in kinds}
-    seen = {n: v for own in halves.values() for n, v in own.items() if v <= _WORTH}
+    seen = {n: v for own in halves.values() for n, v in own.items() if v <= CRITERIA.worth}
     text = ", ".join(f"{n} {100 * v:.2g}" for n, v in seen.items())
-    open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > _WORTH]
-    likely = [c for c in asked.changes if min(c.p_value, c.alone) <= _ALPHA]
+    open_ = [_unseen(kind, own) for kind, own in halves.items() if min(own.values()) > CRITERIA.worth]
+    likely = [c for c in asked.changes if min(c.p_value, c.alone) <= CRITERIA.alpha]
     if seen and not open_ and not likely:
         return Statement("none seen", (), f"no change seen; smallest detectable changes, %: {text}")
     words = _possible(likely) + open_
@@ -476,7 +482,7 @@ def _nothing(asked: SpanTest, limit: float) -> Statement:
 
 def _possible(likely: Sequence[Change]) -> list[str]:
     """Possible changes: those significant given the other kinds, else those significant alone."""
-    beside = [c for c in likely if c.p_value <= _ALPHA]
+    beside = [c for c in likely if c.p_value <= CRITERIA.alpha]
     if beside or not likely:
         return [f"{_with_error(c)} may be a change, but is not significant" for c in beside]
     names = " or ".join(c.direction.name for c in likely)
@@ -520,7 +526,7 @@ def _drag(sure: Sequence[Change], every: Sequence[Change], limit: float) -> tupl
     text = ", ".join(map(_with_error, sure))
     if any(c.value < 0 for c in sure):
         return "drag", f"drag changed: {text}; less drag is not fouling (cleaned? different trim?)"
-    least = _CONTRADICTS * min(c.value for c in sure)
+    least = CRITERIA.contradicts * min(c.value for c in sure)
     against = [c.direction.of for c in every if c.value + _half_width(c, limit) < least]
     if against:
         return "drag", f"drag grew: {text}, not in {', '.join(against)}, which fouling would also have raised"

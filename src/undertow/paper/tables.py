@@ -107,11 +107,17 @@ FAMILIES = (("2", "3", "4"), ("6", "7", "8"))
 RULE = "lowest variance"
 
 
-# From where on numbers of a table do not fit.
-_OUTLIER = 5.0  # standard deviations off the trend of the cases before
-_SIGNIFICANT = 2.0  # standard deviations from zero
-_DIGITS = 7  # that two numbers have in common if one is copied
-_ROUNDING = 1e-4  # share by which a sum may be off: what goes into it is printed to six digits
+@dataclass(frozen=True)
+class TableLimits:
+    """From where on numbers of a table do not fit."""
+
+    outlier: float = 5.0  # standard deviations off the trend of the cases before
+    significant: float = 2.0  # standard deviations from zero
+    digits: int = 7  # that two numbers have in common if one is copied
+    rounding: float = 1e-4  # share by which a sum may be off: what goes into it is printed to six digits
+
+
+_LIMITS = TableLimits()
 
 
 @dataclass(frozen=True)
@@ -159,7 +165,7 @@ def _outliers(table: PublishedTable) -> Iterator[Remark]:
             trend = 2 * table.value(quantity, second) - table.value(quantity, first)
             value, spread = table.value(quantity, third), table.value(f"sd_{quantity}", third)
             away = abs(value - trend) / spread
-            if away > _OUTLIER:
+            if away > _LIMITS.outlier:
                 text = (
                     f"{table.printed[quantity][third]}, but cases {first} and {second} lead to {trend:.5g}: "
                     f"{away:.1f} standard deviations away"
@@ -180,7 +186,7 @@ def _selection(table: PublishedTable) -> Iterator[Remark]:
 def _insignificant(table: PublishedTable) -> Iterator[Remark]:
     for quantity in table.quantities if table.adopted else ():
         value, spread = (table.value(q, table.selected) for q in (quantity, f"sd_{quantity}"))
-        if abs(value) < _SIGNIFICANT * spread:
+        if abs(value) < _LIMITS.significant * spread:
             text = f"{value:.6g} with a standard deviation of {spread:.6g}: t = {abs(value) / spread:.2f}"
             yield Remark("insignificant", f"{table.name}, case {table.selected}, {quantity}", text)
 
@@ -201,7 +207,7 @@ def _copied(tables: Appendix) -> Iterator[Remark]:
                 places = min(-int(Decimal(x).as_tuple().exponent) for x in (one, other))
                 digits = min(len(x.lstrip("-").replace(".", "").lstrip("0")) for x in (one, other))
                 shorter = Decimal(1).scaleb(-places)
-                if digits >= _DIGITS and abs(Decimal(one) - Decimal(other)) < shorter:
+                if digits >= _LIMITS.digits and abs(Decimal(one) - Decimal(other)) < shorter:
                     where = f"{second.name}, case {case}, {quantity}"
                     yield Remark("copied", where, f"{other}, as {one} in {first.name}, another experiment")
 
@@ -233,5 +239,5 @@ def _buoyancy(tables: Appendix) -> Iterator[Remark]:
 
 def _sum(where: str, words: str, taken: float, expected: float) -> Iterator[Remark]:
     share = abs(taken - expected) / abs(expected)
-    if share > _ROUNDING:
+    if share > _LIMITS.rounding:
         yield Remark("sum", where, f"{words}, but Table 4 has {taken:.9g}, {share:.2%} away")

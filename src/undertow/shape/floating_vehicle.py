@@ -19,12 +19,19 @@ from .floating import Complex, FloatingBody, FloatingHull, RegularWave
 from .hull_vehicle import EffectTable, HullSpec, entry_line, hull_tables, text_from_shape
 from .mesh import Mesh, bisected
 
-# Uncertainties and limits of numbers that panels have computed.
-_STIFFNESS_SIGMA = 0.05  # sigma of what the waterline gives: trim, load, tanks
-_RADIATION_SIGMA = 0.10  # sigma of a memory besides the error of its fit
-_STRIPS = 60  # triangles of the hull under water are no longer than this part of it
-_FLAT = 1e-9  # share of the largest triangle below which one has become a line
-_SMALL = 1e-3  # coefficients of a wave below this share of the largest are left out
+
+@dataclass(frozen=True)
+class FloatingVehicleRules:
+    """Uncertainties and limits of numbers that panels have computed."""
+
+    stiffness: float = 0.05  # sigma of what the waterline gives: trim, load, tanks
+    radiation: float = 0.10  # sigma of a memory besides the error of its fit
+    strips: int = 60  # triangles of the hull under water are no longer than this part of it
+    flat: float = 1e-9  # share of the largest triangle below which one has become a line
+    small: float = 1e-3  # coefficients of a wave below this share of the largest are left out
+
+
+_RULES = FloatingVehicleRules()
 
 
 @dataclass(frozen=True)
@@ -98,9 +105,9 @@ def _check(spec: HullSpec, wave: WaveSpec | None) -> None:
 
 def immersed_part(hull: Mesh) -> Mesh:
     """The closed part of a hull under the plane z = 0, z down; what stands out of the water lies on it."""
-    fine = bisected(hull, float(hull.extents.max()) / _STRIPS)
+    fine = bisected(hull, float(hull.extents.max()) / _RULES.strips)
     laid = Mesh(np.column_stack([fine.vertices[:, :2], np.maximum(fine.vertices[:, 2], 0.0)]), fine.faces)
-    return Mesh(laid.vertices, laid.faces[laid.areas > _FLAT * laid.areas.max()])
+    return Mesh(laid.vertices, laid.faces[laid.areas > _RULES.flat * laid.areas.max()])
 
 
 def _inertia(hull: Mesh, spec: HullSpec) -> Array:
@@ -129,8 +136,8 @@ def _waterplane(hull: FloatingHull, own: Sequence[int]) -> EffectTable:
         if {i, j} <= set(own):
             value = float(hull.stiffness[i, j])
             scale = float(np.sqrt(hull.stiffness[i, i] * hull.stiffness[j, j]))
-            value = value if abs(value) > _SMALL * scale else 0.0
-            sigma = _STIFFNESS_SIGMA * scale
+            value = value if abs(value) > _RULES.small * scale else 0.0
+            sigma = _RULES.stiffness * scale
             lines.append(entry_line(name, -value, unit, sigma=sigma, estimate=i == j, source=source))
     return EffectTable("waterplane", lines)
 
@@ -146,7 +153,7 @@ def _memory(memory: Memory, hull: FloatingHull) -> EffectTable:
         sigma, text = 0.0, source
         if name[0] in FORCE and i is not None:
             unit = "N/m" if i < 3 else "N m/rad"
-            sigma = abs(value) * float(np.hypot(_RADIATION_SIGMA, memory.error[i]))
+            sigma = abs(value) * float(np.hypot(_RULES.radiation, memory.error[i]))
             text = f"{source}; {100 * memory.error[i]:.0f} % of the kernel is not fitted"
         lines.append(entry_line(name, value, unit, sigma=sigma, source=text))
     return EffectTable(
@@ -185,7 +192,7 @@ def _series_lines(
     mark: str, i: int, headings: Array, values: Array, alike: Array, source: str
 ) -> Iterator[str]:
     kind = slice(0, 3) if i < 3 else slice(3, 6)
-    floor = _SMALL * float(np.abs(alike[:, kind]).max())
+    floor = _RULES.small * float(np.abs(alike[:, kind]).max())
     unit = ("N" if i < 3 else "N m") + ("/m^2" if mark == "drift" else "/m")
     for n, c in enumerate(_series(i, headings, values)[0], start=int(DOFS[i] in ODD)):
         if abs(c) > floor:
@@ -211,11 +218,17 @@ def heading_error(found: RegularWave) -> float:
 
 
 # --- memory of the water -------------------------------------------------------------------------------
-# When a fit is good enough.
-_GOOD_FIT = 0.10  # error at which one state for each motion is enough, of the kernel, root mean square
-_NO_MEMORY = 1e-3  # share of the largest damping (turning: at half the length) that is no memory
-_CHECKED_FREQUENCIES = 400  # frequencies at which the damping is looked at, a hundred times beyond both ends
-_FADING_TIMES = (0.3, 1.0, 3.0)  # times in which memories fade, in periods of the peak
+@dataclass(frozen=True)
+class MemoryRules:
+    """When a fit is good enough."""
+
+    good: float = 0.10  # error at which one state for each motion is enough, of the kernel, root mean square
+    none: float = 1e-3  # share of the largest damping (turning: at half the length) that is no memory
+    checked: int = 400  # frequencies at which the damping is looked at, a hundred times beyond both ends
+    starts: tuple[float, ...] = (0.3, 1.0, 3.0)  # times in which memories fade, in periods of the peak
+
+
+MEMORY = MemoryRules()
 
 
 @dataclass(frozen=True)
@@ -270,7 +283,7 @@ def fit_memory(hull: FloatingHull, motions: Sequence[int], order: Literal[1, 2] 
     motions = [i for i in motions if _radiates(hull, i)]
     if order is None:
         first = fit_memory(hull, motions, 1)
-        return first if first.worst <= _GOOD_FIT else fit_memory(hull, motions, 2)
+        return first if first.worst <= MEMORY.good else fit_memory(hull, motions, 2)
     found = _first_order(hull, motions) if order == 1 else _second_order(hull, motions)
     _check_passive(found, hull.omega)
     return found
@@ -286,7 +299,7 @@ def _radiates(hull: FloatingHull, i: int) -> bool:
     """Whether a motion sends waves out that count: a body of revolution that spins sends none."""
     most = np.array([hull.damping[:, j, j].max() for j in range(3)]).max()
     arm = 1.0 if i < 3 else hull.length / 2
-    return float(hull.damping[:, i, i].max()) > _NO_MEMORY * float(most) * arm**2
+    return float(hull.damping[:, i, i].max()) > MEMORY.none * float(most) * arm**2
 
 
 def _error(wanted: Complex, found: Complex) -> float:
@@ -330,14 +343,14 @@ def _resonance(omega: Array, kernel: Complex) -> tuple[float, float, float]:
         rest = (k * _shape(omega, T, w) - kernel) / height
         return np.concatenate([rest.real, rest.imag])
 
-    starts = [np.log([height / T, T, peak]) for T in np.array(_FADING_TIMES) * 2 * np.pi / peak]
+    starts = [np.log([height / T, T, peak]) for T in np.array(MEMORY.starts) * 2 * np.pi / peak]
     best = min((least_squares(off, x) for x in starts), key=lambda r: r.cost)
     k, T, w = np.exp(best.x)
     return float(k), float(T), float(w)
 
 
 def _check_passive(memory: Memory, omega: Array) -> None:
-    far = np.geomspace(omega[0] / 100, omega[-1] * 100, _CHECKED_FREQUENCIES)
+    far = np.geomspace(omega[0] / 100, omega[-1] * 100, MEMORY.checked)
     for i in memory.stiffness:
         least = float(memory.kernel(i, far).real.min())
         if not least >= 0:

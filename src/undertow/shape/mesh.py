@@ -25,14 +25,20 @@ from undertow.typing import Array
 Faces = NDArray[np.int64]
 
 
-# What is read from a file of a hull, and how it is cut.
-_STATIONS = 100  # at which a silhouette is measured
-_SAME_POINT = 1e-6  # points closer than this share of the size are one: STL has seven digits
-_MOST_BYTES = 300_000_000  # bytes
-_MOST_TRIANGLES = 1_000_000
-_LONGEST_HULL = 100.0  # m, of a hull in a file that does not say its unit
-_SHORTEST_HULL = 0.01  # m, the same
-_SIMPLIFIED_SHARE = 0.33  # of the triangles wanted: cutting the longest edges then evens them out
+@dataclass(frozen=True)
+class MeshLimits:
+    """What is read from a file of a hull, and how it is cut."""
+
+    stations: int = 100  # at which a silhouette is measured
+    same: float = 1e-6  # points closer than this share of the size are one: STL has seven digits
+    file: int = 300_000_000  # bytes
+    triangles: int = 1_000_000
+    longest: float = 100.0  # m, of a hull in a file that does not say its unit
+    shortest: float = 0.01  # m, the same
+    simplified: float = 0.33  # of the triangles wanted: cutting the longest edges then evens them out
+
+
+_LIMITS = MeshLimits()
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,7 @@ class Mesh:
         section; steps (n,), m, are what each station stands for: stations are closer at the ends.
         """
         low, high = self.bounds[:, along]
-        angles = (np.arange(_STATIONS) + 0.5) / _STATIONS * np.pi - np.pi / 2
+        angles = (np.arange(_LIMITS.stations) + 0.5) / _LIMITS.stations * np.pi - np.pi / 2
         half = (high - low) / 2
         places = low + half + half * np.sin(angles)
         weights = np.cos(angles)
@@ -164,7 +170,7 @@ def _merged(mesh: Mesh) -> Mesh:
     """Equal corners as one vertex, without triangles that have no area or stand there twice."""
     size = float(mesh.extents.max()) or 1.0
     _, first, place = np.unique(
-        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_SAME_POINT * size)),
+        np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (_LIMITS.same * size)),
         axis=0,
         return_index=True,
         return_inverse=True,
@@ -288,9 +294,10 @@ def read_hull(path: str | Path, *, unit: str | None = None, frame: str = "FRD") 
     vertices, faces = _content(path)
     if not len(faces):
         raise UndertowError(f"{path}: no triangles in it: export the surface of the hull as STL")
-    if len(faces) > _MOST_TRIANGLES:
+    if len(faces) > _LIMITS.triangles:
         raise UndertowError(
-            f"{path}: {len(faces)} triangles are too many (limit {_MOST_TRIANGLES}): export it more coarsely"
+            f"{path}: {len(faces)} triangles are too many (limit {_LIMITS.triangles}): export it more "
+            "coarsely"
         )
     if not np.isfinite(vertices).all():
         raise UndertowError(f"{path}: a coordinate is not a finite number: export the hull again")
@@ -323,11 +330,11 @@ def _rotation(frame: str) -> Array:
 def _check_size(path: Path, vertices: Array, unit: str | None) -> None:
     extents = np.ptp(vertices, axis=0)
     longest = float(extents.max())
-    if unit is None and not _SHORTEST_HULL <= longest <= _LONGEST_HULL:
+    if unit is None and not _LIMITS.shortest <= longest <= _LIMITS.longest:
         size = " x ".join(f"{e:.4g}" for e in extents)
-        likely = "mm" if longest > _LONGEST_HULL else "in, ft or km"
+        likely = "mm" if longest > _LIMITS.longest else "in, ft or km"
         raise UndertowError(
-            f"{path}: {size} m is an unlikely hull size ({_SHORTEST_HULL:g} to {_LONGEST_HULL:g} m): "
+            f"{path}: {size} m is an unlikely hull size ({_LIMITS.shortest:g} to {_LIMITS.longest:g} m): "
             f"give the unit of its numbers, such as {likely} (or m if it is so)"
         )
 
@@ -338,8 +345,8 @@ def _content(path: Path) -> tuple[Array, Faces]:
     if read is None:
         raise UndertowError(f"{path}: hulls are read from .stl, .obj and .msh files: export it as STL")
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise UndertowError(f"{path}: larger than {_MOST_BYTES / 1e6:g} MB: export it more coarsely")
+        if path.stat().st_size > _LIMITS.file:
+            raise UndertowError(f"{path}: larger than {_LIMITS.file / 1e6:g} MB: export it more coarsely")
         return read(path)
     except OSError as error:
         raise UndertowError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -431,7 +438,7 @@ def _msh(path: Path) -> tuple[Array, Faces]:
 
 def base_mesh(mesh: Mesh, count: int) -> Mesh:
     """A mesh of at most some `count` triangles of similar size: simplified, or cut at the longest edges."""
-    found = _simplified(mesh, round(count * _SIMPLIFIED_SHARE)) if len(mesh.faces) > count else mesh
+    found = _simplified(mesh, round(count * _LIMITS.simplified)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
         found, longest = finer, 0.9 * longest

@@ -27,13 +27,19 @@ class TooLittleMotion(UndertowError):
     """Logs in which a hull hardly moved in a direction."""
 
 
-# What of a log says how much.
-_SETTLED = 3.0  # lengths travelled at one speed until the drag counts as steady
-_EVEN = 0.01  # share by which a speed may change in that time
-# share that grids do not show: the boundary of the water, time steps within a push (docs/tank.md)
-_MODEL_SHARE = 0.02
-_FEWEST_ROWS = 6  # fewest samples that say something of damping
-_GCI_BAND = 2.0  # a grid convergence index is a band of so many standard deviations
+@dataclass(frozen=True)
+class FitRules:
+    """What of a log says how much."""
+
+    settled: float = 3.0  # lengths travelled at one speed until the drag counts as steady
+    even: float = 0.01  # share by which a speed may change in that time
+    # share that grids do not show: the boundary of the water, time steps within a push (docs/tank.md)
+    model: float = 0.02
+    rows: int = 6  # fewest samples that say something of damping
+    band: float = 2.0  # a grid convergence index is a band of so many standard deviations
+
+
+_RULES = FitRules()
 
 
 # Effects of a vehicle file by what marks their names, and the units of force and of moment coefficients.
@@ -78,7 +84,7 @@ class Coefficient:
     @property
     def sigma(self) -> float:
         """Standard deviation: of the fit, of the grid, and of what grids do not show."""
-        parts = [self.fit, self.grid.index / _GCI_BAND, _MODEL_SHARE * self.value]
+        parts = [self.fit, self.grid.index / _RULES.band, _RULES.model * self.value]
         return float(np.linalg.norm(parts))
 
 
@@ -178,15 +184,17 @@ def _by_balance(
         # Rows at which the hull has gone `_SETTLED` lengths at one speed, shape (n,).
         speed = np.abs(r.speed)
         way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(r.time))])
-        before = np.interp(way - _SETTLED * length, way, r.speed)
-        settled = np.asarray((np.abs(r.speed - before) <= _EVEN * speed) & (way >= _SETTLED * length))
-        kept = settled if known and settled.sum() >= _FEWEST_ROWS else np.ones_like(settled)
+        before = np.interp(way - _RULES.settled * length, way, r.speed)
+        settled = np.asarray(
+            (np.abs(r.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * length)
+        )
+        kept = settled if known and settled.sum() >= _RULES.rows else np.ones_like(settled)
         kept = kept & (r.speed * direction > 0) if direction else kept
         u = r.speed[kept]
         columns.append(np.column_stack([r.acceleration[kept], u, np.abs(u) * u]))
         forces.append(-r.water[kept])
     table, force = np.concatenate(columns), np.concatenate(forces)
-    if len(table) < _FEWEST_ROWS:
+    if len(table) < _RULES.rows:
         raise TooLittleMotion(
             f"{len(table)} samples are too few for damping: choose a longer profile such as step"
         )

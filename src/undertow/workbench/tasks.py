@@ -51,13 +51,19 @@ from .session import FORCE, REFITTED, ModelStep, Workspace
 Result = dict[str, Any]
 
 
-# How much of what is worked out is kept for the page.
-_DRAWN_CANDIDATES = 8  # that are simulated, the best first: more lines than that nobody compares
-_LEAST_FALL = 0.01  # fall of an error, as a share of it, below which two bars look the same
-_DRAWN_FORCES = 3  # candidates whose force is drawn over the residual
-_DRAWN_RUNS = 3  # validation runs that are drawn: the fourth looks like the third
-_PIXELS = 300  # of a simulated line, with a least and a greatest value each
-_POINTS = 3000  # of a residual force along the logs
+@dataclass(frozen=True)
+class TaskSettings:
+    """How much of what is worked out is kept for the page."""
+
+    candidates: int = 8  # that are simulated, the best first: more lines than that nobody compares
+    seen: float = 0.01  # fall of an error, as a share of it, below which two bars look the same
+    supplied: int = 3  # candidates whose force is drawn over the residual
+    runs: int = 3  # validation runs that are drawn: the fourth looks like the third
+    pixels: int = 300  # of a simulated line, with a least and a greatest value each
+    points: int = 3000  # of a residual force along the logs
+
+
+SETTINGS = TaskSettings()
 
 
 @dataclass
@@ -168,7 +174,7 @@ def _compared(found: Comparison) -> Result:
     stretches: dict[str, dict[str, Any]] = {dof: {} for dof in result.degrees_of_freedom}
     for c in cells:
         stretches[c.degree_of_freedom][c.regime] = found.stretches(c.degree_of_freedom, c.regime)
-    every = max(1, math.ceil(len(found.forces) / _POINTS))
+    every = max(1, math.ceil(len(found.forces) / SETTINGS.points))
     rows = slice(None, None, every)
     return {
         "headline": result.headline,
@@ -206,11 +212,11 @@ def diagnose(job: Job) -> Result:
     progress = _share(job.report, 0.0, 0.8)
     found = diagnosis(job.vehicle, train, judge, known=job.known, report=progress, trust_log=job.trust)
     ranking = {r.effect: r for r in found.diagnosis.ranking}
-    best = sorted(found.tried, key=lambda name: ranking[name].error_after)[:_DRAWN_CANDIDATES]
+    best = sorted(found.tried, key=lambda name: ranking[name].error_after)[: SETTINGS.candidates]
     candidates = []
     for i, name in enumerate(best):
         job.report(0.8 + 0.2 * i / len(best), f"simulating it with {name}")
-        candidates.append(_candidate(job, found, name, with_force=i < _DRAWN_FORCES))
+        candidates.append(_candidate(job, found, name, with_force=i < SETTINGS.supplied))
     without = job.ahead(found.diagnosis.steps[0].error, found.before)
     shown = [c for c in candidates if _does_something(c, without)]
     return {
@@ -225,7 +231,7 @@ def diagnose(job: Job) -> Result:
 
 def _does_something(candidate: Result, without: Mapping[str, float]) -> bool:
     """Whether an effect is named, or lowers an error over some horizon by as much as can be seen."""
-    least = 1.0 - _LEAST_FALL
+    least = 1.0 - SETTINGS.seen
     errors: dict[str, float] = candidate["errors"]
     named = candidate["named"] or candidate["confused"]
     return bool(named) or any(e < least * without.get(name, 0.0) for name, e in errors.items())
@@ -263,7 +269,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
 
 def _simulated(job: Job, vehicle: Vehicle) -> dict[str, list[Result]]:
     """Measured and simulated velocities of the first validation runs, by horizon."""
-    runs = job.validator.test[:_DRAWN_RUNS]
+    runs = job.validator.test[: SETTINGS.runs]
     return {f"{h:g} s": [_run_traces(r) for r in simulated(vehicle, runs, h)] for h in job.validator.horizons}
 
 
@@ -272,7 +278,7 @@ def _run_traces(run: RunTraces) -> Result:
     for trace in run.traces:
         if trace.channel in VELOCITY:
             lines = {"measured": trace.measured, "simulated": trace.before}
-            drawn = {k: [*map(_plain, decimated(trace.t, y, _PIXELS))] for k, y in lines.items()}
+            drawn = {k: [*map(_plain, decimated(trace.t, y, SETTINGS.pixels))] for k, y in lines.items()}
             channels.append({"name": trace.channel, "unit": trace.unit, **drawn})
     return {"run": run.run, "channels": channels}
 

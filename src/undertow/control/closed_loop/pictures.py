@@ -31,12 +31,18 @@ _IN_PAPER = {"strategy": 13, "x": 14, "y": 15, "psi": 16, "z": 17}
 _PAPERS_VEHICLE = "mini-auv"
 
 
-# When a command is drawn as a band instead of unresolvable lines.
-_BINS = 300  # parts of the picture's width, each a few pixels wide
-# Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.
-_TRAVEL = 3.0
-_HEIGHT = 0.02  # least height of a band, as a part of the range of the command
-_GAP = 7  # segments over which a band is closed and its edges are taken: six are 2 % of the width
+@dataclass(frozen=True)
+class BandSettings:
+    """When a command is drawn as a band instead of unresolvable lines."""
+
+    bins: int = 300  # parts of the picture's width, each a few pixels wide
+    # Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.
+    travel: float = 3.0
+    height: float = 0.02  # least height of a band, as a part of the range of the command
+    gap: int = 7  # segments over which a band is closed and its edges are taken: six are 2 % of the width
+
+
+BAND = BandSettings()
 
 
 @dataclass(frozen=True)
@@ -174,9 +180,9 @@ def band(t: Array, values: Array, swing: CommandRange) -> tuple[Array, ...] | No
 
     Where it does not chatter the edges are the mean.
     """
-    if len(t) < _BINS:
+    if len(t) < BAND.bins:
         return None
-    parts = np.array_split(np.arange(len(t)), _BINS)
+    parts = np.array_split(np.arange(len(t)), BAND.bins)
     given: list[tuple[Callable[[Array], Any], Array]] = [
         (np.mean, t),
         (np.mean, values),
@@ -186,12 +192,12 @@ def band(t: Array, values: Array, swing: CommandRange) -> tuple[Array, ...] | No
     ]
     times, mean, low, high, travel = (np.array([f(a[p]) for p in parts]) for f, a in given)
     height = high - low
-    chatters = (travel >= _TRAVEL * height) & (height > _HEIGHT * (high.max() - low.min()))
+    chatters = (travel >= BAND.travel * height) & (height > BAND.height * (high.max() - low.min()))
     if not chatters.any():
         return None
     # Where the switching slows down for a moment the band goes on.
-    closed = binary_closing(chatters, np.ones(_GAP)) | chatters
-    low, high = minimum_filter1d(low, _GAP), maximum_filter1d(high, _GAP)
+    closed = binary_closing(chatters, np.ones(BAND.gap)) | chatters
+    low, high = minimum_filter1d(low, BAND.gap), maximum_filter1d(high, BAND.gap)
     return times, mean, np.where(closed, low, mean), np.where(closed, high, mean)
 
 

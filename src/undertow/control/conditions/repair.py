@@ -24,12 +24,20 @@ from .by_law import (
 )
 from .problem import Problem, SignSet, where_positive
 
-_ROUNDS = 80  # most rounds of cutting planes
-_LEAST_GAIN = 1e-3  # every gain keeps at least this part of itself
-# Distances inside every demand, tried until the gains hold in the six digits that are printed.
-_SLACKS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-# Powers of ten of iota, 1/s, and points between which its best value is searched for.
-_IOTA_GRID = (-4, 1, 26)
+
+@dataclass(frozen=True)
+class RepairSettings:
+    """How repairs are searched for."""
+
+    rounds: int = 80  # most rounds of cutting planes
+    least_gain: float = 1e-3  # every gain keeps at least this part of itself
+    # Distances inside every demand, tried until the gains hold in the six digits that are printed.
+    slacks: tuple[float, ...] = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+    # Powers of ten of iota, 1/s, and points between which its best value is searched for.
+    iota_grid: tuple[float, float, int] = (-4, 1, 26)
+
+
+SETTINGS = RepairSettings()
 
 
 class Cut(NamedTuple):
@@ -49,8 +57,8 @@ def least_change(cuts: Cuts, size: int, slack: float) -> Array | None:
     `slack` is how far inside every demand x lies, as a distance.
     """
     x = np.zeros(size)
-    slopes, floors = [*np.eye(size)], [_LEAST_GAIN - 1.0] * size
-    for _ in range(_ROUNDS):
+    slopes, floors = [*np.eye(size)], [SETTINGS.least_gain - 1.0] * size
+    for _ in range(SETTINGS.rounds):
         violated = [c for c in map(_scaled, cuts(x)) if c.slope @ x + c.offset < 0.5 * slack]
         if not violated:
             return x
@@ -178,7 +186,7 @@ def repair(problem: Problem, kind: str) -> Repair:
             f"--repair {kind} is for PID gains: the conditions of law '{problem.gains.law.id}' are signs only"
         )
     variables = _Variables(problem, KINDS[kind].changes)
-    for slack in _SLACKS:
+    for slack in SETTINGS.slacks:
         found = _with_slack(kind, variables, slack)
         if not found.found or _holds_as_printed(problem, found):
             return found
@@ -260,7 +268,7 @@ def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Ar
         x = solve(math.exp(logarithm))
         return math.inf if x is None else float(x @ x)
 
-    low, high, points = _IOTA_GRID
+    low, high, points = SETTINGS.iota_grid
     grid = np.log(np.logspace(low, high, points))
     costs = [cost(v) for v in grid]
     best = int(np.argmin(costs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
@@ -15,16 +16,22 @@ from undertow.errors import UndertowError
 from .line_of_sight import Leg, LineOfSight
 from .reference import Kinematics, MissionNumber
 
-# Steps to the foot of the perpendicular in a sample. The foot of the sample before is near, so that one
-# would do but for the first samples.
-_FOOT_STEPS = 2
-# Least share of its way that a curve makes in the plane: below it the course is undefined, or steeper
-# than a vehicle that drives along it can be.
-_HORIZONTAL_SHARE = 0.05
-_SAMPLES_PER_PIECE = 50  # points of a piece at which it is checked, and drawn
-_ROUNDS = 10  # of arc length as the parameter at the way-points
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """Numbers of curves."""
+
+    # Steps to the foot of the perpendicular in a sample. The foot of the sample before is near, so that one
+    # would do but for the first samples.
+    steps: int = 2
+    # Least share of its way that a curve makes in the plane: below it the course is undefined, or steeper
+    # than a vehicle that drives along it can be.
+    horizontal_share: float = 0.05
+    samples_per_piece: int = 50  # points of a piece at which it is checked, and drawn
+    rounds: int = 10  # of arc length as the parameter at the way-points
 
 
+SETTINGS = CurveSettings()
 _ORDER = 4  # coefficients of a cubic, lowest power first
 
 
@@ -46,10 +53,10 @@ class SplineOfSight(LineOfSight):
         """The path, by nearly its arc length."""
         # A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly.
         lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        for _ in range(_ROUNDS):
+        for _ in range(SETTINGS.rounds):
             knots = np.concatenate([[0.0], np.cumsum(lengths)])
             curve = CubicSpline(knots, self.points, bc_type="natural")
-            inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, _SAMPLES_PER_PIECE)
+            inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.samples_per_piece)
             lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
         return curve
 
@@ -66,7 +73,7 @@ class SplineOfSight(LineOfSight):
         """Refuse a path that stands upright, or bends more than the turn rate allows at the speed."""
         slope = self.curve(self.samples, 1)
         level = np.hypot(slope[:, 0], slope[:, 1]) / np.linalg.norm(slope, axis=1)
-        if level.min() < _HORIZONTAL_SHARE:
+        if level.min() < SETTINGS.horizontal_share:
             raise UndertowError(
                 f"the spline has no horizontal direction between {self.between(level.argmin())}: "
                 "move them apart"
@@ -83,7 +90,7 @@ class SplineOfSight(LineOfSight):
     def samples(self) -> np.ndarray:
         """Parameters of the path at which it is checked and drawn."""
         parts = [
-            np.linspace(a, b, _SAMPLES_PER_PIECE)
+            np.linspace(a, b, SETTINGS.samples_per_piece)
             for a, b in zip(self.knots[:-1], self.knots[1:], strict=True)
         ]
         return np.concatenate(parts)
@@ -102,7 +109,7 @@ class SplineOfSight(LineOfSight):
 
     def between(self, sample: np.intp) -> str:
         """Words for the place of a sample."""
-        piece = int(sample) // _SAMPLES_PER_PIECE + 1
+        piece = int(sample) // SETTINGS.samples_per_piece + 1
         return f"way-points {piece} and {piece + 1}"
 
     def tangents(self) -> np.ndarray:
@@ -147,7 +154,7 @@ class SplineOfSight(LineOfSight):
         """Parameter at the foot, the last parameter, and the point there with two derivatives."""
         end = r[len(self.points) - 1]
         lookahead, w = self._values(r)["lookahead"], s[0]
-        for _ in range(_FOOT_STEPS):
+        for _ in range(SETTINGS.steps):
             point, slope, _ = self._path_point(r, w)
             ahead = ca.dot((place - point)[:2], slope[:2]) / ca.sumsqr(slope[:2])
             w = ca.fmax(0, ca.fmin(end, w + ca.fmax(-lookahead, ca.fmin(lookahead, ahead))))

@@ -27,14 +27,20 @@ DESIGNED = ("pd", "pid")
 _HORIZONTAL = ("x", "y")
 
 
-# Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
-_INTEGRAL_TIME = 5.0
-_INTEGRAL_TIME_FACTOR = 2.0  # factor on this time as often as the conditions on gains fail
-_ROUNDS = 12  # most trials
-# Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
-_WEIGHT_RANGE = (1e-9, 1e9)
-_AT_REST = -1e-9  # real part, 1/s, above which a state left to itself does not come to rest
+@dataclass(frozen=True)
+class DesignSettings:
+    """The numbers of a quadratic design."""
 
+    # Time, s, over which an integral is to remove an error, beside the time constant of the loop without.
+    integral_time: float = 5.0
+    integral_time_factor: float = 2.0  # factor on this time as often as the conditions on gains fail
+    rounds: int = 12  # most trials
+    # Riccati equations lose their digits far beyond what these acceptable errors and forces, SI, span.
+    weights: tuple[float, float] = (1e-9, 1e9)
+    decays: float = -1e-9  # real part, 1/s, above which a state left to itself does not come to rest
+
+
+SETTINGS = DesignSettings()
 
 Verdict = Callable[[GainSet], bool]
 
@@ -127,8 +133,8 @@ def lqr(
         raise UndertowError(f"law '{law}' has no quadratic design: use {' or '.join(DESIGNED)}")
     found = trim or find_trim(vehicle)
     channels = _Channels(vehicle, found, error, force)
-    for slowed in range(_ROUNDS):
-        integral_time = _INTEGRAL_TIME * _INTEGRAL_TIME_FACTOR**slowed
+    for slowed in range(SETTINGS.rounds):
+        integral_time = SETTINGS.integral_time * SETTINGS.integral_time_factor**slowed
         gains, coupling = channels.gains(law, integral_time, name)
         certified = None if conditions is None else conditions(gains)
         if certified is not False or law == "pd":
@@ -228,7 +234,7 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
         if value is None or not 0 < value < np.inf:
             shown = "missing" if value is None else f"{value:g}"
             raise UndertowError(f"{what} of {name} is {shown}: give a positive one for {', '.join(names)}")
-        least, most = _WEIGHT_RANGE
+        least, most = SETTINGS.weights
         if not least <= value <= most:
             raise UndertowError(f"{what} of {name} is {value:g}: give one from {least:g} to {most:g} (SI)")
     return np.array([float(given[n]) for n in names])
@@ -305,7 +311,7 @@ def _minimal_states(plant: ct.StateSpace, shown: ct.StateSpace) -> list[int]:
     lost = {*controllability(plant).missing, *observability(named_shown).missing}
     removed = [i for i, n in enumerate(plant.state_labels) if n in lost]
     poles = np.linalg.eigvals(plant.A[np.ix_(removed, removed)]) if removed else np.empty(0)
-    if np.any(poles.real > _AT_REST):
+    if np.any(poles.real > SETTINGS.decays):
         names = ", ".join(plant.state_labels[i] for i in removed)
         raise UndertowError(
             f"no LQG design: {names} are not controllable or not observable, and not stable by themselves: "

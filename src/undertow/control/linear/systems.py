@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 
@@ -33,12 +33,19 @@ from .trim import Trim, find_trim
 _log = logging.getLogger(__name__)
 
 
-# Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
-_MAX_PADE = 8
-_MAX_SAMPLES = 1000  # of a delay, each of which is a state for every signal that comes late
-# Of the iteration for a filter beside them: rounds at most, and the relative change that is rounding.
-_ROUNDS = 100
-_RELATIVE_CHANGE = 1e-13
+@dataclass(frozen=True)
+class DelaySettings:
+    """Limits for approximating dead times, and for filters to converge."""
+
+    # Order of Padé's approximation: from 9 on its polynomials lose all their digits for a delay of 10 ms.
+    max_pade: int = 8
+    max_samples: int = 1000  # of a delay, each of which is a state for every signal that comes late
+    # Of the iteration for a filter beside them: rounds at most, and the relative change that is rounding.
+    rounds: int = 100
+    relative_change: float = 1e-13
+
+
+SETTINGS = DelaySettings()
 
 
 def linearize(
@@ -131,9 +138,9 @@ def _pade(seconds: float, order: int) -> ct.StateSpace:
 def _sample_delay(seconds: float, dt: float) -> ct.StateSpace:
     """A delay of the whole samples that are nearest."""
     k = whole_samples(seconds, dt)
-    if k > _MAX_SAMPLES:
+    if k > SETTINGS.max_samples:
         raise UndertowError(
-            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, but {_MAX_SAMPLES} is the "
+            f"a dead time of {seconds:g} s has {k} samples of {dt:g} s, but {SETTINGS.max_samples} is the "
             "limit: lengthen dt"
         )
     if not k:
@@ -145,9 +152,9 @@ def _sample_delay(seconds: float, dt: float) -> ct.StateSpace:
 def _check_sampling(dt: float, pade: int) -> None:
     if not (isfinite(dt) and dt >= 0):
         raise UndertowError(f"sampling time dt = {dt:g} s is impossible: give a time above zero")
-    if not 0 <= pade <= _MAX_PADE:
+    if not 0 <= pade <= SETTINGS.max_pade:
         raise UndertowError(
-            f"pade = {pade} is not an order of approximation for dead times: give 0 to {_MAX_PADE}"
+            f"pade = {pade} is not an order of approximation for dead times: give 0 to {SETTINGS.max_pade}"
         )
     if dt and pade:
         raise UndertowError(
@@ -591,10 +598,10 @@ def _steady_covariance(a: Array, c: Array, noise: Array, r: Array) -> Array:
     """
     n, identity = len(a), np.eye(len(a))
     sign = np.block([[a.T, -c.T @ np.linalg.solve(r, c)], [-noise, -a]])
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.rounds):
         scale = np.exp(-np.linalg.slogdet(sign)[1] / (2 * n))
         before, sign = sign, 0.5 * (scale * sign + np.linalg.inv(sign) / scale)
-        if np.linalg.norm(sign - before, 1) <= _RELATIVE_CHANGE * np.linalg.norm(sign, 1):
+        if np.linalg.norm(sign - before, 1) <= SETTINGS.relative_change * np.linalg.norm(sign, 1):
             break
     left = np.vstack([sign[:n, n:], sign[n:, n:] + identity])
     right = np.vstack([sign[:n, :n] + identity, sign[n:, :n]])
