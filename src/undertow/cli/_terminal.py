@@ -15,6 +15,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Timer
 from types import FrameType
@@ -116,10 +117,19 @@ _GAP, _APART = "  ", "   "
 _NAMES = {"λmin": "lambda_min", "λmax": "lambda_max", "±": "+-"}
 
 
-# When a table that is too wide keeps its columns, in letters: one wider than _PROSE holds sentences, which may
-# be wrapped (numbers are shorter), but not into less than _LEAST: then the cells of a row stand below each
-# other.
-_PROSE, _LEAST = 30, 24
+@dataclass(frozen=True)
+class Layout:
+    """When a table that is too wide keeps its columns, in letters; chosen for the tables of the commands.
+
+    A column wider than `prose` holds sentences, which may be wrapped (numbers are shorter), but not into less
+    than `least`: the cells of a row then stand below each other.
+    """
+
+    prose: int = 30
+    least: int = 24
+
+
+LAYOUT = Layout()
 
 
 def print_json(content: Any) -> None:
@@ -273,7 +283,7 @@ class _Table:
             return self._spread(widths, -over)
         widest = widths.index(max(widths))
         left = widths[widest] - over
-        if widths[widest] < _PROSE or left < _LEAST:
+        if widths[widest] < LAYOUT.prose or left < LAYOUT.least:
             return []
         widths[widest] = left
         return widths

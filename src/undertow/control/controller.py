@@ -23,11 +23,18 @@ from .gains import Allocation, GainSet, allocation_of
 from .guidance.reference import DesiredMotion, Kinematics, Reference
 from .laws import LawSignals
 
-# Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too few
-# for all directions, then least squares is meant.
-_DAMPING = 1e-8
-# Part of the wanted force that counts as rounding and not as a limit.
-_ROUNDING = 1e-9
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """The numbers of allocation with limits and of anti-windup."""
+
+    # Added to the Gram matrix of the free thrusters, as a part of the mean of its diagonal: they may be too
+    # few for all directions, then least squares is meant.
+    damping: float = 1e-8
+    rounding: float = 1e-9  # part of the wanted force that counts as rounding and not as a limit
+
+
+SETTINGS = ControllerSettings()
 
 
 # --- allocation -------------------------------------------------------------------------------
@@ -120,7 +127,7 @@ def _step(symbolic: SymbolicAllocation, b: ca.SX, free: ca.SX, remaining: ca.SX)
     """Change of the free commands that brings the rest of the force, or as much of it as they can."""
     k, inverse_weights = len(symbolic.allocation.rows), free / symbolic.weights
     gram = b @ ca.diag(inverse_weights) @ b.T
-    damping = _DAMPING * ca.trace(b @ ca.diag(1 / symbolic.weights) @ b.T) / k
+    damping = SETTINGS.damping * ca.trace(b @ ca.diag(1 / symbolic.weights) @ b.T) / k
     return inverse_weights * (b.T @ solve_symmetric(gram + damping * ca.SX.eye(k), remaining))
 
 
@@ -356,7 +363,7 @@ class Controller:
             return rates
         rows = list(allocation.rows)
         lacking = force[rows] - self._symbolic.allocated @ commands
-        short = ca.sumsqr(lacking) > _ROUNDING**2 * ca.sumsqr(force[rows])
+        short = ca.sumsqr(lacking) > SETTINGS.rounding**2 * ca.sumsqr(force[rows])
         slope = convert.matrix(self.gains.law.force(signals).jacobian(signals.states))[rows, :]
         pushes = (slope.T @ lacking) * rates > 0
         return rates * (1 - short * pushes)

@@ -18,10 +18,17 @@ from undertow.typing import Array
 
 from .reduction import Panel, Reduced
 
-# Thresholds for undetermined parameters.
-_SINGULAR = 1e-7  # singular value of the scaled factor, relative to the greatest
-_EIGEN = 1e-13  # eigenvalue of products of columns: their rounding is that much coarser
-_SHARE = 1e-3  # share of a parameter that may lie in what is not determined
+
+@dataclass(frozen=True)
+class RankLimits:
+    """Thresholds for undetermined parameters."""
+
+    singular: float = 1e-7  # singular value of the scaled factor, relative to the greatest
+    eigen: float = 1e-13  # eigenvalue of products of columns: their rounding is that much coarser
+    share: float = 1e-3  # share of a parameter that may lie in what is not determined
+
+
+_RANK = RankLimits()
 
 
 @dataclass(frozen=True)
@@ -111,10 +118,10 @@ def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> LeastS
     size = np.linalg.norm(H, axis=0)
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     U, s, V = np.linalg.svd(H * scale, full_matrices=False)
-    kept = s > _SINGULAR * s.max(initial=0.0)
+    kept = s > _RANK.singular * s.max(initial=0.0)
     theta = scale * (V[kept].T @ ((U.T @ target)[kept] / s[kept]))
     covariance = np.outer(scale, scale) * (V[kept].T @ (V[kept] / s[kept, None] ** 2))
-    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _SHARE)
+    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _RANK.share)
     grams = np.array([row.T @ row for row in rows])
     whole = np.sum(grams, axis=0) + known.T @ known
     shifts = _without(whole - grams, scale) - theta
@@ -132,7 +139,7 @@ def _widened(design: Array) -> Array:
 def _without(grams: Array, scale: Array) -> Array:
     """Unknowns by the products of the columns with one day left out, for every day."""
     value, vector = np.linalg.eigh(grams[:, :-1, :-1] * np.outer(scale, scale))
-    kept = value > _EIGEN * value.max(axis=1, keepdims=True, initial=0.0)
+    kept = value > _RANK.eigen * value.max(axis=1, keepdims=True, initial=0.0)
     along = np.einsum("dji,dj->di", vector, scale * grams[:, :-1, -1])
     solution = np.divide(along, value, out=np.zeros_like(along), where=kept)
     return np.asarray(scale * np.einsum("dij,dj->di", vector, solution))

@@ -27,10 +27,19 @@ from .engine import Engine, Failure
 from .partitions import files_digest
 from .reduction import LogJob
 
-# Standard deviation of a start in that of the sensors: a parabola through five samples has 0.70.
-_START = 0.7
-_MOST_BYTES = 1_000_000_000  # that the rollouts of one window may take
-_REFUSED = 0.5  # share of the draws without a positive mass matrix at which the covariance is refused
+
+@dataclass(frozen=True)
+class RolloutLimits:
+    """How rollouts are drawn, and how many may be."""
+
+    # standard deviation of a start in that of the sensors: a parabola through five samples has 0.70
+    start: float = 0.7
+    bytes: int = 1_000_000_000  # that the rollouts of one window may take
+    # share of the draws without a positive mass matrix at which the covariance is refused
+    refused: float = 0.5
+
+
+_LIMITS = RolloutLimits()
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ def draw_parameters(source: str, effects: Sequence[str], count: int, seed: int) 
     centre = np.array(model.functions.values(), dtype=float)
     random = np.random.default_rng(seed)
     found: list[Array] = []
-    most = int(count / _REFUSED)
+    most = int(count / _LIMITS.refused)
     for _ in range(most):
         shift = random.multivariate_normal(np.zeros(len(places)), uncertainty.covariance, method="eigh")
         p = centre.copy()
@@ -114,14 +123,14 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     count, samples = len(p), int(chosen.count[0])
     predictor = _predictor(job.vehicle, job.effects, job.files)
     size = 8 * count * samples * len(predictor.functions.state_names)
-    if size > _MOST_BYTES:
+    if size > _LIMITS.bytes:
         raise UndertowError(
             f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
-            f"{_MOST_BYTES / 1e9:g}: use fewer (--count) or shorter ones (--horizon)"
+            f"{_LIMITS.bytes / 1e9:g}: use fewer (--count) or shorter ones (--horizon)"
         )
     random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
-    paths = _paths(predictor, chosen, p, _START * sigma * random.standard_normal((count, len(sigma))))
+    paths = _paths(predictor, chosen, p, _LIMITS.start * sigma * random.standard_normal((count, len(sigma))))
     good = _plausible(paths, chosen.t[0])
     if not good.any():
         raise UndertowError(f"{source.log}, window {window}: all rollouts diverge")

@@ -204,24 +204,31 @@ AT_REST = Prior(velocity=0.05, rate=0.05, acceleration=0.05, current=0.3, bias=0
 """A vehicle that is switched on where it lies: for filters on board."""
 
 
-_LONGEST = 0.25  # step of a filter, s
-_REACH = 0.5  # the same in the fastest time constant of the vehicle at rest
-# The same for filters that step once a sample: one of Runge-Kutta of fourth order grows from 2.78 on.
-_STABLE = 2.5
+@dataclass(frozen=True)
+class StepSettings:
+    """How long a step of a filter may be."""
+
+    longest: float = 0.25  # s
+    reach: float = 0.5  # of the fastest time constant of the vehicle at rest
+    # The same for filters that step once a sample: one of Runge-Kutta of fourth order grows from 2.78 on.
+    stable: float = 2.5
+
+
+STEP = StepSettings()
 
 
 def longest_step(process: Process) -> float:
     """Longest step of a filter, s: short beside the fastest motion at rest."""
-    return min(_LONGEST, _REACH / max(_fastest(process), _REACH / _LONGEST))
+    return min(STEP.longest, STEP.reach / max(_fastest(process), STEP.reach / STEP.longest))
 
 
 def require_stable_step(process: Process, dt: float) -> None:
     """Refuse a sampling interval over which a prediction in one step grows by itself."""
     fastest = _fastest(process)
-    if dt * fastest > _STABLE:
+    if dt * fastest > STEP.stable:
         raise UndertowError(
             f"dt = {dt:g} s is too long for the observer of '{process.vehicle.name}', which predicts in one "
-            f"step and has a time constant of {1 / fastest:.3g} s: stay below {_STABLE / fastest:.3g} s, "
+            f"step and has a time constant of {1 / fastest:.3g} s: stay below {STEP.stable / fastest:.3g} s, "
             "or leave what is as fast (a lag of thrusters, say) out of the vehicle that it knows"
         )
 

@@ -270,10 +270,16 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
 IOTA = symbol("iota")
 
 
-# How the stated derivative of a candidate is compared with the one worked out from the model.
-_SEED = 20210405
-_POINTS = 3  # at least so many random points, and one for each set of signs
-_TOLERANCE = 1e-9  # relative difference that counts as rounding
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """How the stated derivative of a candidate is compared with the one worked out from the model."""
+
+    seed: int = 20210405
+    points: int = 3  # at least so many random points, and one for each set of signs
+    tolerance: float = 1e-9  # relative difference that counts as rounding
+
+
+COMPARISON = ComparisonSettings()
 
 
 class Candidate(abc.ABC):
@@ -434,7 +440,7 @@ def derivative_difference(plant: Plant, law: Law) -> float:
     names = sorted(set().union(*(part.free_symbols for part in parts)), key=str)
     function = function_of(names, [part.tolist() for part in parts])
     signed = {*plant.eta, *plant.nu, *s.error, *s.states}
-    random, worst = Random(_SEED), 0.0
+    random, worst = Random(COMPARISON.seed), 0.0
     for switches in _sign_combinations(plant):
         signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | switches
         values = {x: signs[x] * random.uniform(0.2, 1.2) for x in names}
@@ -450,7 +456,7 @@ def _sign_combinations(plant: Plant) -> list[dict[sm.Symbol, float]]:
     combinations = [
         dict(zip(plant.reversing, w, strict=True)) for w in product((1.0, -1.0), repeat=len(plant.reversing))
     ]
-    return combinations * max(1, -(-_POINTS // len(combinations)))
+    return combinations * max(1, -(-COMPARISON.points // len(combinations)))
 
 
 def _sign_symbol(velocity: sm.Symbol) -> sm.Symbol:
@@ -474,7 +480,7 @@ def lyapunov(plant: Plant, law: Law, equilibria: str) -> Lyapunov:
     """The candidate of a law with the comparison, and the equilibria of what is not pushed."""
     candidate = CANDIDATES[law.id]
     difference = derivative_difference(plant, law)
-    agrees = "equal" if difference < _TOLERANCE else "NOT equal"
+    agrees = "equal" if difference < COMPARISON.tolerance else "NOT equal"
     points = f"{len(_sign_combinations(plant))} random points, {difference:.0e} apart"
     return Lyapunov(
         candidate.V,

@@ -17,6 +17,7 @@ Nothing of either has to be exact: what it misses of the equation is bounded and
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product as product_of
 from typing import NamedTuple
@@ -35,8 +36,15 @@ from .embedding import motion_terms, rotation_of, sign_cases
 from .problem import Problem
 from .responses import Amplitudes, Modes, bounds_within
 
-# Cuts of each angle's range, in which bounds on derivatives are taken; it does not decide what is proved.
-_ANGLE_CUTS = 4
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """How what a linear loop leaves out is bounded; it does not decide what is proved."""
+
+    angle_cuts: int = 4  # of each angle's range, in which bounds on derivatives are taken
+
+
+SETTINGS = MotionSettings()
 
 
 # --- of second order in the start, of first order in the heading --------------------------------
@@ -453,7 +461,7 @@ class PoseLoop:
 
     def derivatives(self, caps: Array) -> Derivatives:
         """The bounds for angles up to these, rad, shape (caps, angles)."""
-        at, level = self._kinematics(caps, _ANGLE_CUTS), self._kinematics(0 * caps[:1], 1)
+        at, level = self._kinematics(caps, SETTINGS.angle_cuts), self._kinematics(0 * caps[:1], 1)
         count = range(len(self.angles))
         W = self._derivatives(level, at, "J", self.inverse, len(caps))
         P = self._derivatives(level, at, "i", self.inverse @ self.forces.D, len(caps))

@@ -100,11 +100,20 @@ class Reference(abc.ABC):
 
 
 _ORDER = 6  # coefficients of a quintic, lowest power first
-# A reference is evaluated piece by piece in generated C: more than this is a table, not a mission.
-_MAX_PIECES = 400
-# The ends of a spline begin and end at rest: so much longer than at full speed (a quintic from rest to rest
-# has 1.875 times its mean speed at most; one end of it has about half of that).
-_END_FACTOR = 1.4
+
+
+@dataclass(frozen=True)
+class ReferenceSettings:
+    """The numbers of references."""
+
+    # A reference is evaluated piece by piece in generated C: more than this is a table, not a mission.
+    max_pieces: int = 400
+    # The ends of a spline begin and end at rest: so much longer than at full speed (a quintic from rest to
+    # rest has 1.875 times its mean speed at most; one end of it has about half of that).
+    end_factor: float = 1.4
+
+
+SETTINGS = ReferenceSettings()
 
 
 @dataclass(frozen=True)
@@ -271,15 +280,15 @@ def waypoint_times(positions: np.ndarray, turns: np.ndarray, limits: Limits) -> 
     """Times of way-points at full speed along chords, the ends longer, shape (k,)."""
     lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1) / limits.speed
     lengths = np.maximum(lengths, np.abs(np.diff(turns)) / limits.turn_rate)
-    lengths[[0, -1]] *= _END_FACTOR
+    lengths[[0, -1]] *= SETTINGS.end_factor
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
 def _checked(profile: Profile) -> Profile:
     pieces = len(profile.coefficients)
-    if pieces > _MAX_PIECES:
+    if pieces > SETTINGS.max_pieces:
         raise UndertowError(
-            f"the mission has {pieces} pieces, but {_MAX_PIECES} is the limit: split it in two"
+            f"the mission has {pieces} pieces, but {SETTINGS.max_pieces} is the limit: split it in two"
         )
     return profile
 
