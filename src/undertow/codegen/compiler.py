@@ -79,7 +79,6 @@ LANES = Words(
 )
 """The words of lanes.h: the same text for any number of lanes."""
 
-
 Structs = Mapping[str, tuple[str, Sequence[str]]]
 """Inputs that are structs in C: type and names of the members in order, by name of the input."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from importlib.resources import files
@@ -32,11 +32,19 @@ Version = Literal["2.0", "3.0"]
 _NO_DATE = (1980, 1, 1, 0, 0, 0)
 
 
-# What a unit does unless its user says otherwise: the longest Runge-Kutta step of co-simulation, that of
-# `undertow simulate` (lags that are quicker shorten it at the export), and the default experiment; s.
-_MAX_STEP = 0.05
-_STOP_TIME = 10.0
-_COMMUNICATION_STEP = 0.05
+@dataclass(frozen=True)
+class FmuSettings:
+    """What a unit does unless its user says otherwise."""
+
+    # Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker shorten
+    # it at the export.
+    max_step: float = 0.05
+    # stop_time, communication_step: default experiment, s
+    stop_time: float = 10.0
+    communication_step: float = 0.05
+
+
+SETTINGS = FmuSettings()
 
 
 class Variable(NamedTuple):
@@ -84,7 +92,7 @@ class Fmu:
             )
             for e in self._manifest.inputs
         ]
-        step = longest_step(self._functions, _MAX_STEP)
+        step = longest_step(self._functions, SETTINGS.max_step)
         return [
             Variable("time", "s", "independent", "continuous"),
             *(_state(e, "output" if e.name in seen else "local") for e in states),
@@ -202,8 +210,8 @@ class Fmu:
         units = ET.SubElement(root, "UnitDefinitions")
         for unit in sorted({v.unit for v in self.variables if v.unit}):
             _unit(units, unit)
-        times = {"startTime": "0", "stopTime": f"{_STOP_TIME:g}"}
-        times["stepSize"] = f"{_COMMUNICATION_STEP:g}"
+        times = {"startTime": "0", "stopTime": f"{SETTINGS.stop_time:g}"}
+        times["stepSize"] = f"{SETTINGS.communication_step:g}"
         ET.SubElement(root, "DefaultExperiment", times)
         variables = ET.SubElement(root, "ModelVariables")
         for reference, variable in enumerate(self.variables):

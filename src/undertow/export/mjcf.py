@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import isfinite
 from xml.etree import ElementTree as ET
 
@@ -27,11 +28,18 @@ _AXES = {
 }
 
 
-# Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It is
-# taken from the rest, so that the sum stays; small, so that what is left is a body.
-_FLOAT_SHARE = 1e-6
-_FLOAT_RADIUS = 0.01  # radius of gyration of that part, m: MuJoCo takes no point for a body
-_STEP = 0.002  # time step, s
+@dataclass(frozen=True)
+class MjcfSettings:
+    """Numbers of the export."""
+
+    # Part of the mass that stands at the centre of buoyancy: MuJoCo lifts a body at its centre of mass. It is
+    # taken from the rest, so that the sum stays; small, so that what is left is a body.
+    float_share: float = 1e-6
+    float_radius: float = 0.01  # radius of gyration of that part, m: MuJoCo takes no point for a body
+    step: float = 0.002  # time step, s
+
+
+SETTINGS = MjcfSettings()
 
 
 class Mjcf(Body):
@@ -50,7 +58,7 @@ class Mjcf(Body):
         root = ET.Element("mujoco", {"model": self.name})
         root.append(ET.Comment(f" by undertow {__version__}: ENU, forward-left-up, SI; ctrl is thrust in N "))
         # RK4, because nothing damps the motion and Euler's method adds energy to it.
-        step = {"timestep": repr(_STEP), "integrator": "RK4"}
+        step = {"timestep": repr(SETTINGS.step), "integrator": "RK4"}
         gravity = numbers(0, 0, -self.vehicle.environment["g"])
         ET.SubElement(root, "option", {**step, "gravity": gravity})
         world = ET.SubElement(root, "worldbody")
@@ -90,8 +98,8 @@ class Mjcf(Body):
     def _with_float(self, body: ET.Element, lift: float, at: Array) -> tuple[float, Array, Array]:
         """Append what lifts at the centre of buoyancy; mass, centre and inertia of the rest."""
         m, r, g = self.values["m"], self.centre_of_gravity, self.vehicle.environment["g"]
-        small = _FLOAT_SHARE * m
-        own = small * _FLOAT_RADIUS**2 * np.eye(3)
+        small = SETTINGS.float_share * m
+        own = small * SETTINGS.float_radius**2 * np.eye(3)
         rest, centre = m - small, (m * r - small * at) / (m - small)
         about_origin = self.inertia + m * steiner(r) - own - small * steiner(at)
         element = ET.SubElement(body, "body", {"name": "float", "gravcomp": repr(lift / (small * g))})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from math import isfinite
@@ -21,9 +22,16 @@ _FORCES, _VELOCITIES = "xyzkmn", "UVWPQR"
 _SYSTEMS = {"physics": "Physics", "user-commands": "UserCommands", "scene-broadcaster": "SceneBroadcaster"}
 
 
-# Mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle.
-_PROPELLER_MASS = 0.001
-_STEP = 0.002  # time step of the world, s
+@dataclass(frozen=True)
+class SdfSettings:
+    """Numbers of the export."""
+
+    # mass of the link of a propeller, kg: Gazebo moves no link without one, and it adds to the vehicle
+    propeller_mass: float = 0.001
+    step: float = 0.002  # time step of the world, s
+
+
+SETTINGS = SdfSettings()
 
 
 class Sdf(Body):
@@ -63,7 +71,7 @@ class Sdf(Body):
         root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: ENU, forward-left-up "))
         world = ET.SubElement(root, "world", {"name": "water"})
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
-        append_elements(physics, {"max_step_size": _STEP, "real_time_factor": 1})
+        append_elements(physics, {"max_step_size": SETTINGS.step, "real_time_factor": 1})
         append_elements(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
         for file, system in _SYSTEMS.items():
             _plugin(world, file, system, {})
@@ -130,7 +138,7 @@ class Sdf(Body):
         element = ET.SubElement(model, "link", {"name": link})
         append_elements(element, {"pose": _pose(FLIP[:3] * point, angles_of(FLIP[:3] * direction))})
         inertial = ET.SubElement(element, "inertial")
-        mass = _PROPELLER_MASS
+        mass = SETTINGS.propeller_mass
         append_elements(inertial, {"mass": mass})
         small = {f"i{a}{a}": mass * 1e-3 for a in "xyz"}
         append_elements(ET.SubElement(inertial, "inertia"), small)

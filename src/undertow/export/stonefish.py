@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import asin, atan2, isfinite
 from xml.etree import ElementTree as ET
 
@@ -19,8 +20,16 @@ _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
 _HULL = "hull"  # link, material and look
 
 
-_DEPTH = 2.0  # of the origin at the start, edges of the cube that displaces the water
-_GRAY, _ROUGHNESS = 0.5, 0.5  # of the cube
+@dataclass(frozen=True)
+class StonefishSettings:
+    """Numbers of the export."""
+
+    depth: float = 2.0  # of the origin at the start, edges of the cube that displaces the water
+    gray: float = 0.5  # of the cube
+    roughness: float = 0.5  # of the cube
+
+
+SETTINGS = StonefishSettings()
 
 
 class Stonefish(Body):
@@ -47,7 +56,7 @@ class Stonefish(Body):
         ET.SubElement(ocean, "water", {"density": density})
         hull = {"name": _HULL, "density": density, "restitution": "0.0"}
         ET.SubElement(ET.SubElement(root, "materials"), "material", hull)
-        look = {"gray": numbers(_GRAY), "roughness": numbers(_ROUGHNESS)}
+        look = {"gray": numbers(SETTINGS.gray), "roughness": numbers(SETTINGS.roughness)}
         ET.SubElement(ET.SubElement(root, "looks"), "look", {"name": _HULL, **look})
         self._robot(root)
         return root
@@ -58,7 +67,7 @@ class Stonefish(Body):
         self._link(robot)
         for thruster in self.vehicle.thrusters:
             self._push(robot, thruster)
-        _transform(robot, "world_transform", np.array([0.0, 0.0, _DEPTH * self._edge]))
+        _transform(robot, "world_transform", np.array([0.0, 0.0, SETTINGS.depth * self._edge]))
 
     def _link(self, robot: ET.Element) -> None:
         """A cube that displaces as much water as the model's buoyancy says, with the body's own inertia."""

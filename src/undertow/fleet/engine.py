@@ -33,7 +33,6 @@ class Timeouts:
 
 TIMEOUTS = Timeouts()
 
-
 Items = Sequence[tuple[Any, ...]]
 Results = Iterator[tuple[int, Any]]
 

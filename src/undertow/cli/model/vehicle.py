@@ -61,7 +61,6 @@ CreaseOption = Annotated[
     ),
 ]
 
-
 Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)

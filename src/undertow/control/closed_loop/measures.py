@@ -77,16 +77,25 @@ _FULL_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
 
-# A pose may be as far from the start as twice `FASTEST` (the speed of vehicle and water) leads in the time
-# so far and this many seconds more, m and rad; farther, the integration has jumped.
-_AHEAD = 1.0
+@dataclass(frozen=True)
+class PlausibleSettings:
+    """What a vehicle in water can do; a run beyond it has diverged."""
+
+    # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
+    speed: float = FASTEST
+    # A pose may be as far from the start as twice that speed (the vehicle's and the water's) leads in the
+    # time so far and this many seconds more, m and rad; farther, the integration has jumped
+    ahead: float = 1.0
+
+
+PLAUSIBLE = PlausibleSettings()
 
 
 def _limits(t: np.ndarray, pose: int, states: int) -> np.ndarray:
     """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
     found = np.full((len(t), states), np.inf)
-    found[:, :pose] = 2 * FASTEST * (t[:, None] + _AHEAD)
-    found[:, pose : 2 * pose] = FASTEST
+    found[:, :pose] = 2 * PLAUSIBLE.speed * (t[:, None] + PLAUSIBLE.ahead)
+    found[:, pose : 2 * pose] = PLAUSIBLE.speed
     return found
 
 

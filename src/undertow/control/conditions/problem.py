@@ -169,7 +169,6 @@ ParameterBox = Mapping[sm.Symbol, Span]
 """Intervals of parameters, SI and SNAME signs."""
 EXACT_PARAMETERS: ParameterBox = {}
 
-
 Margins = Callable[[Array], Array]
 """Margins of many values at once: of one positive number, or of parameters, which they are concave in."""
 

@@ -79,7 +79,6 @@ class QuadraticSettings:
 
 SETTINGS = QuadraticSettings()
 
-
 Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity and uncertain parameter."""
 
