@@ -110,8 +110,9 @@ def test_a_level_vehicle_needs_no_sampling_of_headings() -> None:
     assert problem.attitudes.orthogonal
     assert problem.attitudes.heading_factors_out
     psi = sm.Symbol("psi", real=True)
-    M_q = problem.plant.with_signs(problem.plant.M_q, dict.fromkeys(problem.plant.reversing, 1))
-    filled = M_q.xreplace(problem.plant.numbers)
+    plant = problem.plant
+    M_q = plant.with_signs(plant.J_inverse.T * plant.M * plant.J_inverse, dict.fromkeys(plant.reversing, 1))
+    filled = M_q.xreplace(plant.numbers)
     of_M = np.linalg.eigvalsh(problem.sets[0].inertia)
     for heading in np.linspace(-3, 3, 7):
         yaw_invariant = np.array(filled.xreplace({psi: sm.Float(heading)}).tolist(), dtype=float)

@@ -11,7 +11,7 @@ import pytest
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Overrides, Push, Scenario
-from undertow.control.closed_loop.measures import PLAUSIBLE, divergence
+from undertow.control.closed_loop.measures import divergence, implausible
 from undertow.control.closed_loop.parts import SampledLoop
 from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
@@ -338,7 +338,7 @@ def test_a_pose_that_jumps_has_diverged() -> None:
     """Where the integration jumps there need be no speed: 3e12 m in 1000 s are none of a vehicle in water."""
     x = np.array([[0.0, 0.0, -3e12, 0.0, 0.1, 0.0, 0.2, 0.0], [9e4, 0.0, 1.0, 0.0, 99.0, 0.0, 0.2, 0.0]])
     t = np.array([1000.0, 1000.0])
-    assert PLAUSIBLE.implausible(x, np.zeros(4), t).any(axis=1).tolist() == [True, False]
+    assert implausible(x, np.zeros(4), t).any(axis=1).tolist() == [True, False]
     names = ("x", "y", "z", "psi", "u", "v", "w", "r")
     found = divergence(names, x[0], np.zeros(4), 1000.0)
     assert (found.name, found.value, found.limit) == ("z", -3e12, 2 * FASTEST * 1001.0)

@@ -29,7 +29,6 @@ from undertow.control.conditions.transient import (
     Sector,
     SignalBounds,
     TubeSearch,
-    _caps,
     bounds_in_time,
 )
 from undertow.control.gains import GainSet, GainTable, ScheduleTable, gains_from_table, load_gains
@@ -202,9 +201,7 @@ def test_motion_by_the_heading_is_that_of_an_integration_and_the_difference_of_t
 # --- what is left over ------------------------------------------------------------------------------
 def _sector(heading: float = 0.7, half: float = 0.0) -> Sector:
     motion, start = PoseLoop(Problem(loop())), np.array([START[c] for c in NAMES])
-    return Sector(
-        motion, StartBox(start, motion.plane), motion.derivatives(_caps(motion, start)), heading, half
-    )
+    return Sector(motion, StartBox(start, motion.plane), TubeSearch(motion, start).slopes, heading, half)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +218,7 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
     """
     rng, seen = np.random.default_rng(6), np.array(mirror)
     sector = _sector(heading, half)
-    bounds, at = PushBounds([sector], _caps(sector.motion, sector.starts.box)), sector.signals
+    bounds, at = PushBounds([sector], TubeSearch(sector.motion, sector.starts.box).caps), sector.signals
     closest = 0.0
     for k in range(60):
         size = 10 ** rng.uniform(-2, 0)
@@ -265,8 +262,8 @@ def test_commands_at_the_opposite_heading_are_below_the_bounds_of_the_mirror_ima
     one = _single(40.0).replace("wrench = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "wrench = [1.0, 0, 0, 0, 0, -0.4]")
     motion, rng, seen = _changed("N_r = -0.7->N_r = -0.7", one), np.random.default_rng(8), np.array(MIRROR)
     start = np.array([START[c] for c in NAMES])
-    sector = Sector(motion, StartBox(start, motion.plane), motion.derivatives(_caps(motion, start)), 0.7, 0.0)
-    bounds = PushBounds([sector], _caps(motion, start))
+    sector = Sector(motion, StartBox(start, motion.plane), TubeSearch(motion, start).slopes, 0.7, 0.0)
+    bounds = PushBounds([sector], TubeSearch(motion, start).caps)
     assert motion.mirror_symmetric
     assert motion.command_rows[0].shape == (2, 6, 6)
     force = motion.law_matrices(-0.7)[0]

@@ -107,7 +107,6 @@ def _in_ascii(letter: str) -> str:
 
 codecs.register_error(_READABLE, _readable)
 
-
 # A blank that ties a sign or a comparison to its number.
 _TIED = "\u00a0"
 _TIES = re.compile(r"(?<=[<>=≤≥≻±]) (?=[-+\d.])|(?<=\+-) (?=\d)| (?=(?:±|\+-|[<>=≤≥≻]) [-+\d.])")
@@ -495,7 +494,6 @@ def _under_way(failure: BaseException | None) -> bool:
 
 # --- findings of the doctor -----------------------------------------------------------------------
 _STYLES = {"mistake": "bold red", "warning": "yellow", "note": "dim"}
-
 
 _INDENT = "    "
 

@@ -79,7 +79,6 @@ LANES = Words(
 )
 """The words of lanes.h: the same text for any number of lanes."""
 
-
 Structs = Mapping[str, tuple[str, Sequence[str]]]
 """Inputs that are structs in C: type and names of the members in order, by name of the input."""
 
@@ -375,18 +374,14 @@ def cache_folder() -> Path:
 
     Links on the way to it are followed first, so that what is checked is what is used.
     """
-    place = _user_cache()
+    configured = os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
+    # The XDG specification has relative paths ignored. Without a home this one is relative, too.
+    place = Path(configured if os.path.isabs(configured) else os.path.expanduser("~/.cache"))
     wanted = Path(os.path.realpath(place), "undertow")
     reason = _unsafe(wanted) if place.is_absolute() else "has no place of its own, as the user has no home"
     if reason is None:
         return wanted
     return _private_folder(f"cache folder '{wanted}' {reason}")
-
-
-def _user_cache() -> Path:
-    configured = os.environ.get("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "")
-    # The XDG specification has relative paths ignored. Without a home this one is relative, too.
-    return Path(configured if os.path.isabs(configured) else os.path.expanduser("~/.cache"))
 
 
 def _unsafe(folder: Path) -> str | None:

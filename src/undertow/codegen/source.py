@@ -95,7 +95,6 @@ def c_file(name: str, package: str = "undertow.codegen") -> str:
 EXPORTED = c_file("portable.h")
 """What stands before a function that a library offers."""
 
-
 # --- the engine -----------------------------------------------------------------------------------
 INSTRUCTIONS = {name: k for k, name in enumerate([*FORMS, "OP_ASSIGN", "OP_INPUT", "OP_OUTPUT", "OP_CONST"])}
 """The engine's own number of everything that CasADi has a name for."""

@@ -54,11 +54,6 @@ class SymbolicAllocation:
         allocated = ca.sparsify(ca.SX(ca.DM(allocation.allocated)))
         return cls(allocation, allocated, ca.SX(allocation.weights), ca.SX(allocation.limits))
 
-    def with_limits(self, found: Mapping[int, ca.SX]) -> SymbolicAllocation:
-        """The same with other limits of some commands, by place."""
-        limits = [found.get(i, limit) for i, limit in enumerate(ca.vertsplit(self.limits))]
-        return replace(self, limits=ca.vertcat(*limits))
-
     @classmethod
     def with_names(
         cls, allocation: Allocation, commands: Sequence[str], forces: Sequence[str]
@@ -174,9 +169,12 @@ class Controller:
         self._reference_states = ca.SX.sym("at", n_reference)
         self._k, self._dt = ca.SX.sym("k", len(self.gain_names)), ca.SX.sym("dt")
         named = dict(zip(self.gain_names, ca.vertsplit(self._k), strict=True))
-        self._symbolic = SymbolicAllocation.of(self.allocation).with_limits(
-            {i: named[n] for i, n in self._limits.items()}
-        )
+        constant = SymbolicAllocation.of(self.allocation)
+        limits = [
+            named[self._limits[i]] if i in self._limits else limit
+            for i, limit in enumerate(ca.vertsplit(constant.limits))
+        ]
+        self._symbolic = replace(constant, limits=ca.vertcat(*limits))
 
     def _check_schedule(self) -> None:
         missing = [c for c in ("x", "psi") if c not in self._coordinates]
@@ -337,19 +335,20 @@ class Controller:
         heading = self._error[self._coordinates.index("psi")]
         return ca.fmax(self._gate_state, ca.fabs(heading) <= self._gate_angle)
 
-    def _enabled(self, gate: ca.SX, coordinates: tuple[str, ...]) -> ca.SX:
-        """For every coordinate, whether it is driven: those that wait only when the gate is open."""
-        return ca.vertcat(*[gate if self._yaw_first and c in _GATED else ca.SX(1) for c in coordinates])
-
     def _law_outputs(self, gate: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Commands, rates of the law's states, and the force asked for."""
         law, signals = self.gains.law, self._signals
-        enabled = self._enabled(gate, self._coordinates)
+        # For every coordinate, whether it is driven: those that wait only when the gate is open.
+        enabled = ca.vertcat(
+            *[gate if self._yaw_first and c in _GATED else ca.SX(1) for c in self._coordinates]
+        )
         open_states = ca.vertcat(*[enabled] * len(law.states)) if law.states else ca.SX(0, 1)
         states = open_states * self._law_states
         convert = self._converter(enabled * self._error, states, gate)
         # A force that nothing gives is left out where it is asked for, so that it counts as no limit.
-        force = _allocated_only(convert.matrix(law.force(signals)), self.allocation.rows)
+        force, asked = ca.SX(len(self._coordinates), 1), convert.matrix(law.force(signals))
+        for i in self.allocation.rows:
+            force[i] = asked[i]
         commands = thruster_commands(self._symbolic, force)
         early = self.gains.schedule.integrators == "start"
         rates = self._converter(self._error, self._law_states, ca.SX(1)) if early else convert
@@ -401,11 +400,3 @@ class Controller:
             s: e for symbols, vector in groups for s, e in zip(symbols, ca.vertsplit(vector), strict=False)
         }
         return Converter(known | self._numbers)
-
-
-def _allocated_only(force: ca.SX, rows: tuple[int, ...]) -> ca.SX:
-    """A force with the rows that are not allocated at zero."""
-    result = ca.SX(*force.shape)
-    for i in rows:
-        result[i] = force[i]
-    return result

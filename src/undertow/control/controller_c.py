@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from undertow.codegen.manifest import UNITS, Entry
-from undertow.codegen.spelling import Dialect, Part, Struct, comment, fill, identifier, slug
+from undertow.codegen.spelling import Dialect, Part, comment, fill, identifier, slug
 from undertow.model.symbols import FORCE, FORCE_UNITS
 
 from .controller import Controller
@@ -91,7 +91,7 @@ class _ControllerC:
             "/* One sample: commands u, states after dt seconds (s_next may be s) and force tau. */",
             c.prototype(f.control, f"{name}_step", self._structs),
             "\n/* Commands of a wanted force alone. */",
-            c.prototype(f.allocate, f"{name}_allocate", self._struct("p")),
+            c.prototype(f.allocate, f"{name}_allocate", {"p": self._structs["p"]}),
             "",
         ]
         if self._has_heading_rule:
@@ -99,9 +99,6 @@ class _ControllerC:
             lines += ["/* Desired heading from where the vehicle begins to the set-point, rad. */"]
             lines += [heading[: heading.index(" {\n")] + ";\n"]
         return lines
-
-    def _struct(self, name: str) -> dict[str, Struct]:
-        return {name: self._structs[name]}
 
     def _definitions(self) -> list[str]:
         name, c, f = self._name, self._c, self._parametrised
@@ -111,7 +108,7 @@ class _ControllerC:
             *(struct.definitions for struct in self._structs.values()),
             f"void {name}_start({c.real} *s) {{\n{states}\n}}\n",
             c.definition(f.control, f"{name}_step", self._structs),
-            c.definition(f.allocate, f"{name}_allocate", self._struct("p")),
+            c.definition(f.allocate, f"{name}_allocate", {"p": self._structs["p"]}),
         ]
         return [*lines, self._heading] if self._has_heading_rule else lines
 

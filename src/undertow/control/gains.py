@@ -342,17 +342,7 @@ def allocation_of(gains: GainSet) -> Allocation:
             f"thrusters of '{vehicle.name}' cannot push in {', '.join(dofs[i] for i in rows)} independently: "
             "list under unactuated in the gain file what is not to be controlled"
         )
-    _refuse_one_sided(vehicle)
-    own, units = vehicle.command_limits, vehicle.command_units
-    stated = {name: _limit(name, limit, units[name]) for name, limit in gains.allocation.limits.items()}
-    names = vehicle.command_names
-    limits = [stated.get(n, own.get(n, np.inf)) for n in names]
-    weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
-    return Allocation(matrix, rows, weights, np.array(limits))
-
-
-def _refuse_one_sided(vehicle: Vehicle) -> None:
-    """Refuse thrusters with less thrust astern than ahead: the allocation assumes symmetric limits."""
+    # Refuse thrusters with less thrust astern than ahead: the allocation assumes symmetric limits.
     one_sided = [
         t.name for t in vehicle.thrusters if t.lowest is not None and t.lowest != -(t.limit or np.inf)
     ]
@@ -362,6 +352,12 @@ def _refuse_one_sided(vehicle: Vehicle) -> None:
             "laws allocate forces to thrusters with symmetric limits only: remove `lowest` from the "
             "file for the controller, and choose set-points that keep its thrust positive"
         )
+    own, units = vehicle.command_limits, vehicle.command_units
+    stated = {name: _limit(name, limit, units[name]) for name, limit in gains.allocation.limits.items()}
+    names = vehicle.command_names
+    limits = [stated.get(n, own.get(n, np.inf)) for n in names]
+    weights = np.array([gains.allocation.weights.get(n, 1.0) for n in names])
+    return Allocation(matrix, rows, weights, np.array(limits))
 
 
 def _limit(name: str, stated: Quantity, unit: str) -> float:

@@ -38,23 +38,19 @@ class Plant:
         self.left_out: dict[str, str] = {}
         self.vehicle = vehicle = _as_commanded(vehicle, speed, self.left_out)
         self._composition = _in_still_water(vehicle, self.left_out).composition
+        # Pose (m and rad, NED) and velocity (m/s and rad/s, body frame) in its degrees of freedom, (n, 1).
+        self.eta, self.nu = self._composition.eta, self._composition.nu
         n = len(vehicle.dof_indices)
-        self._mass, self._damping, self._moving = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
-        self._static, self._inputs = sm.zeros(n, 1), sm.zeros(n, len(self.inputs))
+        self._moving = sm.zeros(n, 1)
+        # In the body frame: inertia with added mass, kg, kg m and kg m^2; D(nu), where D nu is the damping
+        # force on the left-hand side; forces at rest there, N and N m (weight, buoyancy, bias), (n, 1); and
+        # the force of a unit of each of the inputs, (n, n_inputs).
+        self.M, self.D, self.g = sm.zeros(n, n), sm.zeros(n, n), sm.zeros(n, 1)
+        self.B = sm.zeros(n, len(self.inputs))
         for effect, wrench in self._composition.wrenches.items():
             self._assign(effect, wrench.xreplace(self._unstated))
 
     # --- symbols ------------------------------------------------------------------------------
-    @property
-    def eta(self) -> sm.Matrix:
-        """Pose in the vehicle's degrees of freedom, shape (n, 1), m and rad, NED."""
-        return self._composition.eta
-
-    @property
-    def nu(self) -> sm.Matrix:
-        """Velocity, shape (n, 1), m/s and rad/s, body frame."""
-        return self._composition.nu
-
     @property
     def inputs(self) -> sm.Matrix:
         """What reaches thrusters, in units of the command; angles of surfaces; known forces, N and N m."""
@@ -75,11 +71,6 @@ class Plant:
         return {symbol(n): _ZERO for n in names if not self.vehicle.value_of(n).value}
 
     # --- body frame ---------------------------------------------------------------------------
-    @property
-    def M(self) -> sm.Matrix:
-        """Inertia with added mass, shape (n, n), kg, kg m and kg m^2."""
-        return self._mass
-
     @cached_property
     def C(self) -> sm.Matrix:
         """Coriolis matrix, shape (n, n), skew-symmetric.
@@ -88,23 +79,9 @@ class Plant:
         nu' f = 0 gives F' nu = -f. Hence (F - F') nu = 3 f: of all matrices that give the same force, a third
         of that difference is skew-symmetric.
         """
-        slope = _jacobian(self._moving, self.nu)
+        # Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one.
+        slope = self._moving.jacobian(self.nu).replace(sm.DiracDelta, lambda *_: _ZERO)
         return (slope.T - slope) / 3
-
-    @property
-    def D(self) -> sm.Matrix:
-        """Damping matrix D(nu), shape (n, n): D nu is the damping force on the left-hand side."""
-        return self._damping
-
-    @property
-    def g(self) -> sm.Matrix:
-        """Forces at rest on the left-hand side, shape (n, 1), N and N m (weight, buoyancy, bias)."""
-        return self._static
-
-    @property
-    def B(self) -> sm.Matrix:
-        """Allocation: body-frame force of a unit of each of the inputs, shape (n, n_inputs)."""
-        return self._inputs
 
     @property
     def unactuated(self) -> list[int]:
@@ -128,7 +105,6 @@ class Plant:
         terms = (self.J.diff(q) * v for q, v in zip(self.eta, rate, strict=True))
         return sum(terms, sm.zeros(*self.J.shape))
 
-    # --- inertial frame -----------------------------------------------------------------------
     @cached_property
     def J_inverse(self) -> sm.Matrix:
         """The inverse of J, shape (n, n), by its two blocks."""
@@ -142,24 +118,6 @@ class Plant:
             full = len(own) == 3 and len(dofs) == 6
             blocks.append(whole[first + 3] if full else _inverse(part.as_immutable()))
         return sm.diag(*[b for b in blocks if b.rows])
-
-    def inertial(self, matrix: sm.Matrix) -> sm.Matrix:
-        """A matrix of the body frame in pose coordinates: J^-T matrix J^-1; a column becomes J^-T column."""
-        left = self.J_inverse.T * matrix
-        return left if matrix.cols == 1 else left * self.J_inverse
-
-    @cached_property
-    def M_q(self) -> sm.Matrix:
-        """Inertia in pose coordinates, shape (n, n); (10) of the mini-AUV paper."""
-        return self.inertial(self.M)
-
-    @cached_property
-    def C_q(self) -> sm.Matrix:
-        """Coriolis matrix in pose coordinates, shape (n, n).
-
-        From nu_dot = J^-1 (q_ddot - J_dot J^-1 q_dot).
-        """
-        return self.inertial(self.C - self.M * self.J_inverse * self.J_dot)
 
     # --- sets of parameters by direction ------------------------------------------------------
     @cached_property
@@ -175,12 +133,14 @@ class Plant:
 
     # --- sorting ------------------------------------------------------------------------------
     def _assign(self, effect: Wrench, wrench: sm.Matrix) -> None:
-        by_input = self._slope_in_inputs(wrench)
+        # Derivative in the inputs, of which there may be none.
+        by_input = wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
         reason = self._reason_left_out(effect, wrench, by_input)
         if reason:
             self.left_out[effect.id] = reason
             if self.speed and reason == WITH_MOTION:
-                self._inputs += self._allocation_at_speed(by_input)
+                still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
+                self.B += by_input.xreplace(still | {symbol("u"): sm.Float(self.speed)})
                 self.left_out[effect.id] = f"its force is taken as at {self.speed:g} m/s ahead"
             return
         accelerations = self._composition.nu_dot
@@ -192,21 +152,12 @@ class Plant:
         if damping is None:
             self.left_out[effect.id] = "its force is no matrix times the velocity"
             return
-        self._mass -= wrench.jacobian(accelerations)
-        self._inputs += by_input
-        self._static -= static
-        self._damping += damping
+        self.M -= wrench.jacobian(accelerations)
+        self.B += by_input
+        self.g -= static
+        self.D += damping
         if effect.workless:
             self._moving += moving
-
-    def _slope_in_inputs(self, wrench: sm.Matrix) -> sm.Matrix:
-        """Derivative in the inputs, of which there may be none."""
-        return wrench.jacobian(self.inputs) if len(self.inputs) else sm.zeros(wrench.rows, 0)
-
-    def _allocation_at_speed(self, slope: sm.Matrix) -> sm.Matrix:
-        """An allocation at the speed ahead, on an even keel, inputs at zero."""
-        still = dict.fromkeys([*self.nu, *self.eta, *self.inputs], _ZERO)
-        return slope.xreplace(still | {symbol("u"): sm.Float(self.speed)})
 
     def _reason_left_out(self, effect: Wrench, wrench: sm.Matrix, by_input: sm.Matrix) -> str:
         """Why a wrench does not fit into the matrices, or nothing."""
@@ -276,11 +227,6 @@ def _in_still_water(vehicle: Vehicle, left_out: dict[str, str]) -> Vehicle:
         if not set(effect.requires) <= ids:
             left_out[effect.id] = f"it needs {', '.join(effect.requires)}"
     return replace(vehicle, effects=tuple(e for e in kept if e.id not in left_out))
-
-
-def _jacobian(force: sm.Matrix, by: sm.Matrix) -> sm.Matrix:
-    """Derivative in which the sign of a velocity counts as constant: a set of parameters holds for one."""
-    return force.jacobian(by).replace(sm.DiracDelta, lambda *_: _ZERO)
 
 
 def _damping(force: sm.Matrix, nu: sm.Matrix) -> sm.Matrix | None:

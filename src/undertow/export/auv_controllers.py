@@ -21,8 +21,6 @@ _QUADRATIC = ("Xuu", "Yvv", "Zww", "Kpp", "Mqq", "Nrr")
 class AuvControllers(Body):
     """A vehicle as the element `hydrodynamics` of a robot's description, forward-starboard-down, SNAME signs.
 
-    References
-    ----------
     Robotic Decision Making Laboratory, hydrodynamics (the parser and the equations of auv_controllers),
     https://github.com/Robotic-Decision-Making-Lab/hydrodynamics
     """

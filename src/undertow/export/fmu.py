@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -44,6 +44,9 @@ class FmuSettings:
     communication_step: float = 0.05
 
 
+SETTINGS = FmuSettings()
+
+
 class Variable(NamedTuple):
     """One variable of a unit; its value reference is its place."""
 
@@ -65,16 +68,13 @@ class Fmu:
     start at zero unless they are set, and every parameter of the model is one of the unit. All are SI, NED
     and forward-starboard-down. Co-simulation integrates as `undertow.codegen.simulate.Simulator` does.
 
-    References
-    ----------
     Modelica Association, Functional Mock-up Interface, versions 2.0 and 3.0, https://fmi-standard.org.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, version: Version = "3.0", settings: FmuSettings | None = None
-    ) -> None:
-        self.vehicle, self.version, self.settings = vehicle, version, settings or FmuSettings()
-        self._functions = Functions(vehicle, named=True)
+    def __init__(self, vehicle: Vehicle, version: Version = "3.0") -> None:
+        self.vehicle, self.version = vehicle, version
+        self._functions = f = Functions(vehicle, named=True)
+        self._inputs = [f.x, f.u, f.numbers, f.t]
         self._manifest = describe(self._functions)
         self.name = identifier(slug(vehicle.name))
 
@@ -92,7 +92,7 @@ class Fmu:
             )
             for e in self._manifest.inputs
         ]
-        step = longest_step(self._functions, self.settings.max_step)
+        step = longest_step(self._functions, SETTINGS.max_step)
         return [
             Variable("time", "s", "independent", "continuous"),
             *(_state(e, "output" if e.name in seen else "local") for e in states),
@@ -182,11 +182,6 @@ class Fmu:
         still = ca.substitute(driven, f.nu_dot, ca.SX.zeros(f.nu_dot.shape))
         return ca.Function("forces", self._inputs, [ca.densify(still)], ["x", "u", "p", "t"], ["tau"])
 
-    @property
-    def _inputs(self) -> list[ca.SX]:
-        f = self._functions
-        return [f.x, f.u, f.numbers, f.t]
-
     @cached_property
     def _slopes(self) -> ca.Function:
         """`s = slopes(x, u, p, t)`: x_dot and the forces by x, u and p, shape (nx + n, nx + nu + np)."""
@@ -215,8 +210,8 @@ class Fmu:
         units = ET.SubElement(root, "UnitDefinitions")
         for unit in sorted({v.unit for v in self.variables if v.unit}):
             _unit(units, unit)
-        times = {"startTime": "0", "stopTime": f"{self.settings.stop_time:g}"}
-        times["stepSize"] = f"{self.settings.communication_step:g}"
+        times = {"startTime": "0", "stopTime": f"{SETTINGS.stop_time:g}"}
+        times["stepSize"] = f"{SETTINGS.communication_step:g}"
         ET.SubElement(root, "DefaultExperiment", times)
         variables = ET.SubElement(root, "ModelVariables")
         for reference, variable in enumerate(self.variables):
@@ -241,13 +236,17 @@ class Fmu:
         outputs = [i for i, v in enumerate(self.variables) if v.causality == "output"]
         rates = [i for i, v in enumerate(self.variables) if v.derivative_of is not None]
         unknown = [i for i, v in enumerate(self.variables) if v.initial == "calculated"]
-        structure = ET.SubElement(root, "ModelStructure")
+        structure, third = ET.SubElement(root, "ModelStructure"), self.version == "3.0"
         groups = (("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown))
         for name, references in groups:
-            parent = structure if self.version == "3.0" else _listed(structure, name)
+            parent = structure if third else _listed(structure, name)
             for reference in references:
                 needs = None if name == "InitialUnknown" else self._dependencies[reference]
-                _unknown(parent, name, reference, needs, self.version)
+                key, shift = ("valueReference", 0) if third else ("index", 1)
+                found = {key: str(reference + shift)}
+                if needs is not None:
+                    found["dependencies"] = " ".join(str(i + shift) for i in needs)
+                ET.SubElement(parent, name if third else "Unknown", found)
 
     @cached_property
     def _dependencies(self) -> dict[int, list[int]]:
@@ -335,17 +334,6 @@ def _scalar(parent: ET.Element, reference: int, variable: Variable) -> None:
 def _listed(structure: ET.Element, name: str) -> ET.Element:
     lists = {"ContinuousStateDerivative": "Derivatives", "Output": "Outputs"}
     return ET.SubElement(structure, lists.get(name, "InitialUnknowns"))
-
-
-def _unknown(
-    parent: ET.Element, name: str, reference: int, needs: Sequence[int] | None, version: Version
-) -> None:
-    third = version == "3.0"
-    key, shift = ("valueReference", 0) if third else ("index", 1)
-    found = {key: str(reference + shift)}
-    if needs is not None:
-        found["dependencies"] = " ".join(str(i + shift) for i in needs)
-    ET.SubElement(parent, name if third else "Unknown", found)
 
 
 def _unit(parent: ET.Element, unit: str) -> None:

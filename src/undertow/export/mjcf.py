@@ -39,18 +39,18 @@ class MjcfSettings:
     step: float = 0.002  # time step, s
 
 
+SETTINGS = MjcfSettings()
+
+
 class Mjcf(Body):
     """A vehicle as a model for MuJoCo, east-north-up and forward-left-up.
 
-    References
-    ----------
     MuJoCo documentation, XML reference (``body/gravcomp``, ``body/inertial``, ``actuator/motor``),
     https://mujoco.readthedocs.io/en/stable/XMLreference.html
     """
 
-    def __init__(self, vehicle: Vehicle, settings: MjcfSettings | None = None) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "MuJoCo")
-        self.settings = settings or MjcfSettings()
         self._root = self._model()
         self.losses += self._left_out_lines()
 
@@ -58,7 +58,7 @@ class Mjcf(Body):
         root = ET.Element("mujoco", {"model": self.name})
         root.append(ET.Comment(f" by undertow {__version__}: ENU, forward-left-up, SI; ctrl is thrust in N "))
         # RK4, because nothing damps the motion and Euler's method adds energy to it.
-        step = {"timestep": repr(self.settings.step), "integrator": "RK4"}
+        step = {"timestep": repr(SETTINGS.step), "integrator": "RK4"}
         gravity = numbers(0, 0, -self.vehicle.environment["g"])
         ET.SubElement(root, "option", {**step, "gravity": gravity})
         world = ET.SubElement(root, "worldbody")
@@ -98,8 +98,8 @@ class Mjcf(Body):
     def _with_float(self, body: ET.Element, lift: float, at: Array) -> tuple[float, Array, Array]:
         """Append what lifts at the centre of buoyancy; mass, centre and inertia of the rest."""
         m, r, g = self.values["m"], self.centre_of_gravity, self.vehicle.environment["g"]
-        small = self.settings.float_share * m
-        own = small * self.settings.float_radius**2 * np.eye(3)
+        small = SETTINGS.float_share * m
+        own = small * SETTINGS.float_radius**2 * np.eye(3)
         rest, centre = m - small, (m * r - small * at) / (m - small)
         about_origin = self.inertia + m * steiner(r) - own - small * steiner(at)
         element = ET.SubElement(body, "body", {"name": "float", "gravcomp": repr(lift / (small * g))})

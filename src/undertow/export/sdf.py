@@ -31,18 +31,18 @@ class SdfSettings:
     step: float = 0.002  # time step of the world, s
 
 
+SETTINGS = SdfSettings()
+
+
 class Sdf(Body):
     """A vehicle as a world for `gz sim`, east-north-up and forward-left-up.
 
-    References
-    ----------
     Gazebo Sim, systems Hydrodynamics, Buoyancy and Thruster, https://gazebosim.org/api/sim; SDFormat 1.10,
     ``fluid_added_mass``, http://sdformat.org/spec.
     """
 
-    def __init__(self, vehicle: Vehicle, settings: SdfSettings | None = None) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "Gazebo")
-        self.settings = settings or SdfSettings()
         self._root = self._world()
         self.losses += self._left_out_lines()
 
@@ -71,7 +71,7 @@ class Sdf(Body):
         root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: ENU, forward-left-up "))
         world = ET.SubElement(root, "world", {"name": "water"})
         physics = ET.SubElement(world, "physics", {"name": "steps", "type": "ode"})
-        append_elements(physics, {"max_step_size": self.settings.step, "real_time_factor": 1})
+        append_elements(physics, {"max_step_size": SETTINGS.step, "real_time_factor": 1})
         append_elements(world, {"gravity": f"0 0 {-self.vehicle.environment['g']!r}"})
         for file, system in _SYSTEMS.items():
             _plugin(world, file, system, {})
@@ -138,7 +138,7 @@ class Sdf(Body):
         element = ET.SubElement(model, "link", {"name": link})
         append_elements(element, {"pose": _pose(FLIP[:3] * point, angles_of(FLIP[:3] * direction))})
         inertial = ET.SubElement(element, "inertial")
-        mass = self.settings.propeller_mass
+        mass = SETTINGS.propeller_mass
         append_elements(inertial, {"mass": mass})
         small = {f"i{a}{a}": mass * 1e-3 for a in "xyz"}
         append_elements(ET.SubElement(inertial, "inertia"), small)

@@ -29,18 +29,18 @@ class StonefishSettings:
     roughness: float = 0.5  # of the cube
 
 
+SETTINGS = StonefishSettings()
+
+
 class Stonefish(Body):
     """A vehicle as a scenario for Stonefish, NED and forward-starboard-down.
 
-    References
-    ----------
     Stonefish documentation, dynamic bodies and actuators, https://stonefish.readthedocs.io; what its drag is
     per face of a body stands in `SolidEntity.cpp` (1.4 and later).
     """
 
-    def __init__(self, vehicle: Vehicle, settings: StonefishSettings | None = None) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "Stonefish", _GRAVITY)
-        self.settings = settings or StonefishSettings()
         lift, self._centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
         self._edge = self.cube_edge(lift)
         self._root = self._scenario()
@@ -56,7 +56,7 @@ class Stonefish(Body):
         ET.SubElement(ocean, "water", {"density": density})
         hull = {"name": _HULL, "density": density, "restitution": "0.0"}
         ET.SubElement(ET.SubElement(root, "materials"), "material", hull)
-        look = {"gray": numbers(self.settings.gray), "roughness": numbers(self.settings.roughness)}
+        look = {"gray": numbers(SETTINGS.gray), "roughness": numbers(SETTINGS.roughness)}
         ET.SubElement(ET.SubElement(root, "looks"), "look", {"name": _HULL, **look})
         self._robot(root)
         return root
@@ -67,7 +67,7 @@ class Stonefish(Body):
         self._link(robot)
         for thruster in self.vehicle.thrusters:
             self._push(robot, thruster)
-        _transform(robot, "world_transform", np.array([0.0, 0.0, self.settings.depth * self._edge]))
+        _transform(robot, "world_transform", np.array([0.0, 0.0, SETTINGS.depth * self._edge]))
 
     def _link(self, robot: ET.Element) -> None:
         """A cube that displaces as much water as the model's buoyancy says, with the body's own inertia."""

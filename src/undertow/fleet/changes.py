@@ -299,7 +299,7 @@ class ChangeTests:
         significant, and given them nothing else is, one direction or one kind at a time.
         """
         own = self.panel.own.get(effect, ())
-        if own and self._p_value_of(span, own) > limit:
+        if own and len(own) * min(two_sided_p(*one) for one in self._estimates(span, [], own)) > limit:
             return False
         kinds = {d.kind for d in moving}
         beside = [[d] for d in self.directions if d not in moving]
@@ -313,10 +313,6 @@ class ChangeTests:
         """Smallest p-value of some directions beside others, times how many they are (Bonferroni)."""
         found = self._changed_together(span, [*moving, *group], own)
         return len(group) * min((two_sided_p(*found[d]) for d in group), default=1.0)
-
-    def _p_value_of(self, span: Span, own: Sequence[str]) -> float:
-        """The same of the parameters of an effect that changes by itself."""
-        return len(own) * min(two_sided_p(*one) for one in self._estimates(span, [], own))
 
     def rivals(self) -> list[str]:
         """Effects of the catalogue whose change is neither drag nor thrust nor added mass by another name."""
@@ -437,17 +433,13 @@ def _statement(asked: SpanTest, limit: float) -> Statement:
         )
     common = tuple(name for name in causes[0] if all(name in cause for cause in causes))
     if not common:
-        return _open(causes)
+        names = tuple(dict.fromkeys(_CAUSES.get(name, name) for cause in causes for name in cause))
+        return Statement("cannot tell", names, f"something changed; cannot tell which: {_listed(causes)}")
     text = _named(common, asked, limit)
     rest = [tuple(n for n in cause if n not in common) for cause in causes]
     if not all(rest):
         return text
     return replace(text, words=f"{text.words}; or {_listed(rest)}: cannot tell which")
-
-
-def _open(causes: Sequence[tuple[str, ...]]) -> Statement:
-    names = tuple(dict.fromkeys(_CAUSES.get(name, name) for cause in causes for name in cause))
-    return Statement("cannot tell", names, f"something changed; cannot tell which: {_listed(causes)}")
 
 
 def _listed(causes: Sequence[tuple[str, ...]]) -> str:

@@ -33,7 +33,6 @@ class Timeouts:
 
 TIMEOUTS = Timeouts()
 
-
 Items = Sequence[tuple[Any, ...]]
 Results = Iterator[tuple[int, Any]]
 
@@ -211,10 +210,16 @@ def _local(workers: int | None, listen: str) -> Iterator[Any]:
 @contextmanager
 def _connected(address: Any, where: str) -> Iterator[Any]:
     from distributed import Client
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
 
     client = Client.__new__(Client)
     try:
-        _check_address(address)
+        # Refuse what cannot be an address before Dask begins to look for it.
+        if isinstance(address, str):
+            scheme, place = parse_address(address)
+            get_backend(scheme)
+            parse_host_port(place)
         Client.__init__(client, address, timeout=TIMEOUTS.scheduler, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError, ImportError) as error:
         client.status = "closed"  # Dask would wait, at some later time, for what never began
@@ -240,14 +245,3 @@ def _check_own(address: str) -> None:
             f"this machine cannot listen on '{address}' ({reason.lower()}): give one of its own IPv4 "
             f"addresses, or leave out --listen for {LISTEN}"
         ) from error
-
-
-def _check_address(address: Any) -> None:
-    """Refuse what cannot be an address before Dask begins to look for it."""
-    from distributed.comm.addressing import parse_address, parse_host_port
-    from distributed.comm.registry import get_backend
-
-    if isinstance(address, str):
-        scheme, place = parse_address(address)
-        get_backend(scheme)
-        parse_host_port(place)

@@ -137,7 +137,10 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     texts = [str(stated)] if stated is not None else [path.stem, *([time] if isinstance(time, str) else [])]
     match = next((found for text in texts if (found := _DATE.search(text))), None)
     if match:
-        return _date(path, match)
+        try:
+            return date(*map(int, match.groups()))
+        except ValueError as error:
+            raise UndertowError(f"{path}: '{match[0]}' is not a date: {error}") from error
     if stated is None and isinstance(time, datetime):
         return time.date()
     if stated is None and isinstance(time, int | float) and time > _EPOCH:
@@ -146,13 +149,6 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
         f"{path} does not give its date: name the folder day=2026-05-01, the file 2026-05-01{path.suffix}, "
         "or give the table a column day"
     )
-
-
-def _date(path: Path, match: re.Match[str]) -> date:
-    try:
-        return date(*map(int, match.groups()))
-    except ValueError as error:
-        raise UndertowError(f"{path}: '{match[0]}' is not a date: {error}") from error
 
 
 def _date_of(path: Path, time: float) -> date:

@@ -122,7 +122,12 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
     chosen = _cut(job, source).take(np.array([window]), np.iinfo(np.int64).max)
     count, samples = len(p), int(chosen.count[0])
     predictor = _predictor(job.vehicle, job.effects, job.files)
-    _refuse_large(count, samples, len(predictor.functions.state_names))
+    size = 8 * count * samples * len(predictor.functions.state_names)
+    if size > _LIMITS.bytes:
+        raise UndertowError(
+            f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
+            f"{_LIMITS.bytes / 1e9:g}: use fewer (--count) or shorter ones (--horizon)"
+        )
     random = np.random.default_rng([job.seed, place])
     sigma = chosen.sigma
     paths = _paths(predictor, chosen, p, _LIMITS.start * sigma * random.standard_normal((count, len(sigma))))
@@ -139,10 +144,10 @@ def simulate_window(job: RolloutJob, source: Source, window: int, place: int, p:
 def _plausible(paths: Array, t: Array) -> NDArray[np.bool_]:
     """Which rollouts stay what a vehicle in water can do, shape (count,); of paths (count, k, 2n) of pose and
     velocities."""
-    from undertow.control.closed_loop.measures import PLAUSIBLE
+    from undertow.control.closed_loop.measures import implausible
 
     start = paths[:, 0, : paths.shape[2] // 2]
-    return np.asarray(~PLAUSIBLE.implausible(paths, start, t - t[0]).any(axis=(1, 2)))
+    return np.asarray(~implausible(paths, start, t - t[0]).any(axis=(1, 2)))
 
 
 def _paths(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Array:
@@ -160,15 +165,6 @@ def _path(predictor: Predictor, window: Windows, p: Array, shift: Array) -> Arra
     _, drive = predictor.start_and_commands(window, p)
     motion = predictor.measured_motion(window, drive.u, p) + shift
     return predictor.reports(window, p, motion)
-
-
-def _refuse_large(count: int, samples: int, states: int) -> None:
-    size = 8 * count * samples * states
-    if size > _LIMITS.bytes:
-        raise UndertowError(
-            f"{count} rollouts of {samples} samples take {size / 1e9:.1f} GB at a time, at most "
-            f"{_LIMITS.bytes / 1e9:g}: use fewer (--count) or shorter ones (--horizon)"
-        )
 
 
 @lru_cache(maxsize=2)

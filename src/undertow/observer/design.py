@@ -120,13 +120,7 @@ class Design:
         return {name: age for name, age in ages if age > SETTINGS.late}
 
     def sampled(self, dt: float) -> Design:
-        """The observer in a loop of a sampling interval, s: its late reports are whole samples late.
-
-        Raises
-        ------
-        UndertowError
-            If they are too many.
-        """
+        """The observer in a loop of a sampling interval, s: its late reports are whole samples late."""
         lags = tuple(whole_samples(self.late.get(name, 0.0), dt) for name in self.sensors)
         if max(lags) > SETTINGS.max_past_steps:
             age = max(self.late.values())

@@ -288,14 +288,8 @@ def updated_by_points(
 class Observer:
     """The filters of a process.
 
-    Parameters
-    ----------
-    process : Process
-        What moves, and what sensors report.
-    densities : ndarray, shape (len(process.driven),)
-        Spectral density of the white noise on the rates of the driven states, (unit of the rate)^2 s.
-    compiled : bool
-        Whether the extended filter is worth compiling (seconds, once): many rows are filtered many times.
+    `densities` are the spectral densities of the white noise on the rates of the driven states, (unit of the
+    rate)^2 s. Compiling the extended filter takes seconds, once: for many rows that are filtered many times.
     """
 
     def __init__(self, process: Process, densities: Array, *, compiled: bool = False) -> None:
@@ -315,13 +309,7 @@ class Observer:
         method: Method = "ekf",
         progress: Progress = lambda done, words: None,
     ) -> Estimate:
-        """Filter; the first row is corrected from the given mean (nx,) and covariance (nx, nx).
-
-        Raises
-        ------
-        UndertowError
-            If the state is no finite number any more.
-        """
+        """Filter; the first row is corrected from the given mean (nx,) and covariance (nx, nx)."""
         row = _row_of(self.process, method, self._compiled and method == "ekf")
         found = self._run_rows(row, reports, np.asarray(mean, float), np.asarray(covariance, float), progress)
         lost = ~np.isfinite(found.mean).all(axis=1)
@@ -434,10 +422,7 @@ def most_likely(
 ) -> Array:
     """Spectral densities for which the reports are likeliest, by their innovations (Ljung 1999, section 7.4).
 
-    Parameters
-    ----------
-    start : ndarray, shape (k,)
-        First guess; densities that are not `free` stay.
+    `start`, shape (k,), is the first guess; densities that are not `free` stay.
     """
     from scipy.optimize import minimize
 

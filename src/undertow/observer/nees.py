@@ -71,15 +71,8 @@ def nees(found: Sequence[tuple[Estimate, Truth]]) -> tuple[Nees, ...]:
     says: E[e_j e_k'] = G_j ... G_{k-1} P_k with the gains G of its smoother. From it follows the variance of
     the mean, and the bounds are those of the chi-squared distribution with that variance.
 
-    Parameters
-    ----------
-    found : sequence of (Estimate, Truth)
-        Filtered estimates of some runs, and the truth at their rows.
-
-    Returns
-    -------
-    tuple of Nees
-        Groups with rows enough in any run, then "all"; empty without one.
+    `found` are filtered estimates of some runs, and the truth at their rows. The groups are those with rows
+    enough in any run, then "all"; none without one.
     """
     known = [n for n in (*POSE, *VELOCITY) if any(n in truth.names for _, truth in found)]
     groups = {g: tuple(n for n in names if n in known) for g, names in GROUPS.items()} | {"all": tuple(known)}

@@ -76,13 +76,7 @@ _UPDATES = {
 
 
 def observer_c(design: Design, c: Dialect) -> Part:
-    """The part of an observer.
-
-    Raises
-    ------
-    UndertowError
-        If the model cannot be stated in C.
-    """
+    """The part of an observer."""
     design = design.with_names()
     process = design.process
     kind = {"ekf": "extended", "ukf": "unscented"}[design.method]

@@ -87,21 +87,9 @@ def process_of(
 ) -> Process:
     """The process of a vehicle.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The model; an ocean current or sensor biases that are to be estimated need not be in it.
-    estimated : sequence of str
-        Parameters that become states: V_N, V_E (current, m/s), b_u ... b_r (biases of velocity sensors).
-    kind : str
-        "model" or "kinematics".
-    named : bool
-        Whether p holds the numbers of the hardware, too, as `Functions` says.
-
-    Raises
-    ------
-    UndertowError
-        If a parameter is none of these, does not occur, or (the current) does not show in kinematics.
+    `estimated` are parameters that become states: V_N, V_E (current, m/s), b_u ... b_r (biases of velocity
+    sensors); they need not be in the vehicle. With `named` p holds the numbers of the hardware, too, as
+    `Functions` says.
     """
     grown = _with_effects(vehicle, estimated, kind)
     f = Functions(grown, named=named and kind == "model")
@@ -235,13 +223,7 @@ def longest_step(process: Process) -> float:
 
 
 def require_stable_step(process: Process, dt: float) -> None:
-    """Refuse a sampling interval over which a prediction in one step grows by itself.
-
-    Raises
-    ------
-    UndertowError
-        If it is.
-    """
+    """Refuse a sampling interval over which a prediction in one step grows by itself."""
     fastest = _fastest(process)
     if dt * fastest > STEP.stable:
         raise UndertowError(

@@ -264,7 +264,7 @@ def estimate_streaming(
     more than the filters reach, and what a filter makes of the samples at the border of a part is dropped, so
     that the answer is that of the log in one piece. (The median step of a part defines what a gap is.)
     """
-    overlap = _overlap(cases, edges)
+    overlap = 4 * max(case.needs(edges) + sum(f.frame for f in case.acceleration) for case in cases)
     seen = [_outline(log, max(rows, 2 * overlap), progress) for log in logs]
     found = experiments(vehicle, seen, trust_log=True)  # outlines only: each part is looked at
     reduced = [{c.name: TriangularFactor(len(e.regression.free)) for c in cases} for e in found]
@@ -292,11 +292,6 @@ def _outline(log: LongLog, rows: int, progress: Progress) -> Run:
     first = next(parts, None)
     whole = parts if first is None else chain([first], parts)
     return outline(whole, log.name, log.sha256)
-
-
-def _overlap(cases: Sequence[Case], edges: Edges) -> int:
-    """Samples on either side of a border that filters reach over, with room for a few that a log lacks."""
-    return 4 * max(case.needs(edges) + sum(f.frame for f in case.acceleration) for case in cases)
 
 
 def _reduce(

@@ -91,7 +91,13 @@ def axis_of(vehicle: Vehicle, motion: str, run: Run) -> Axis:
     if not any(n in alone.sides for n in alone.parameter_names):
         return Axis(motion, "both", alone)
     direction = _direction(run, VELOCITY[place], vehicle.name)
-    return Axis(motion, direction, _one_way(alone, direction))
+    # The vehicle with the values of one direction for both.
+    values: dict[str, Value] = {}
+    for name, value in alone.values.items():
+        parameter, way = alone.sides.get(name, (None, direction))
+        if way == direction:
+            values[name if parameter is None else parameter.name] = value
+    return Axis(motion, direction, replace(alone, values=values))
 
 
 def _direction(run: Run, name: str, vehicle: str) -> Direction:
@@ -105,16 +111,6 @@ def _direction(run: Run, name: str, vehicle: str) -> Direction:
             "(--from, --to)"
         )
     return "forward" if ahead > 0.5 else "backward"
-
-
-def _one_way(vehicle: Vehicle, direction: str) -> Vehicle:
-    """The vehicle with the values of one direction for both."""
-    values: dict[str, Value] = {}
-    for name, value in vehicle.values.items():
-        parameter, way = vehicle.sides.get(name, (None, direction))
-        if way == direction:
-            values[name if parameter is None else parameter.name] = value
-    return replace(vehicle, values=values)
 
 
 def known_states(vehicle: Vehicle, states: Iterable[str], whole: Sequence[str]) -> None:
@@ -170,10 +166,6 @@ class Case:
         chain = [*(first if self.differentiated else []), *self.acceleration]
         dropped = sum(f.frame - 1 for f in chain) + 1
         return max(longest, dropped) if edges == "drop" else longest
-
-    def counts_samples(self, *, logged: bool) -> bool:
-        """Whether an even clock matters: a filter, or differences where no acceleration was logged."""
-        return self.velocity is not None or not logged
 
     def __str__(self) -> str:
         first = f"velocity {self.velocity}" if self.velocity else "nothing filtered"
@@ -298,7 +290,7 @@ class Regression:
         """Columns of a segment; NaN where a filter gives nothing."""
         t = run.t[piece]
         logged = run.channels[self.axis.rate][piece] if run.has(self.axis.rate) else None
-        step = _step(run, piece, even=case.counts_samples(logged=logged is not None))
+        step = _step(run, piece, even=case.velocity is not None or logged is None)
         velocity, rate = case.smoothed(run.channels[self.axis.velocity][piece], logged, step, edges)
         pose = {self._pose: run.channels[self._pose][piece]} if self._depends_on_pose else {}
         commands = {name: run.channels[name][piece] for name in self.axis.vehicle.command_names}

@@ -137,19 +137,15 @@ def audit(tables: Appendix) -> list[Remark]:
 
 def _each(tables: Appendix) -> Iterator[Remark]:
     for table in tables.tables:
-        yield from _repeated(table)
+        for first, second in combinations(table.cases, 2):
+            if table.cells(first) == table.cells(second):
+                text = f"all {len(table.cells(first))} numbers of case {second} are those of case {first}"
+                yield Remark("repeated", f"{table.name}, cases {first} and {second}", text)
         yield from _signs(table, tables)
         yield from _outliers(table)
         yield from _selection(table)
         yield from _insignificant(table)
         yield from _invalid(table, tables.body[table.quantities[0]])
-
-
-def _repeated(table: PublishedTable) -> Iterator[Remark]:
-    for first, second in combinations(table.cases, 2):
-        if table.cells(first) == table.cells(second):
-            text = f"all {len(table.cells(first))} numbers of case {second} are those of case {first}"
-            yield Remark("repeated", f"{table.name}, cases {first} and {second}", text)
 
 
 def _signs(table: PublishedTable, tables: Appendix) -> Iterator[Remark]:
@@ -207,17 +203,13 @@ def _copied(tables: Appendix) -> Iterator[Remark]:
         for quantity in [q for q in first.quantities if q in second.quantities]:
             for case in first.cases:
                 one, other = (t.printed[quantity][case] for t in (first, second))
-                if _same_digits(one, other):
+                # Whether two numbers agree in all digits that both were printed with, and these are many.
+                places = min(-int(Decimal(x).as_tuple().exponent) for x in (one, other))
+                digits = min(len(x.lstrip("-").replace(".", "").lstrip("0")) for x in (one, other))
+                shorter = Decimal(1).scaleb(-places)
+                if digits >= _LIMITS.digits and abs(Decimal(one) - Decimal(other)) < shorter:
                     where = f"{second.name}, case {case}, {quantity}"
                     yield Remark("copied", where, f"{other}, as {one} in {first.name}, another experiment")
-
-
-def _same_digits(one: str, other: str) -> bool:
-    """Whether two numbers agree in all digits that both were printed with, and these are many."""
-    places = min(-int(Decimal(x).as_tuple().exponent) for x in (one, other))
-    digits = min(len(x.lstrip("-").replace(".", "").lstrip("0")) for x in (one, other))
-    shorter = Decimal(1).scaleb(-places)
-    return digits >= _LIMITS.digits and abs(Decimal(one) - Decimal(other)) < shorter
 
 
 def _sums(tables: Appendix) -> Iterator[Remark]:

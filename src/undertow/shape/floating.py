@@ -253,59 +253,44 @@ class FloatingBody:
         return RegularWave(omega, headings, excitation, motion, self._drift(omega, problems, motion * _SIGNS))
 
     def _drift(self, omega: float, problems: Sequence[Any], motion: Complex) -> Array:
-        """Mean force by the momentum of the waves that go out, shape (h, 3); `motion` with z up."""
+        """Mean force by the momentum of the waves that go out, shape (h, 3); `motion` with z up.
+
+        By Capytaine's far-field drift, one direction at a time.
+        """
+        import xarray as xr
+
         kochin = self._cpt.post_pro.compute_kochin
         margin = 0.1
         count = FLOATING_RULES.theta
         theta = np.linspace(-np.pi - margin, 2 * np.pi + margin, count + count // 2)
         radiating = solved(self._cpt, self._radiation_problems(self._body, omega), omega, "indirect")
         scattering = solved(self._cpt, problems, omega, "indirect")
-        out = np.array([kochin(r, theta) for r in radiating])
+        radiated = np.array([kochin(r, theta) for r in radiating])
         scattered = np.array([kochin(r, theta) for r in scattering])
-        return _mean_drift(
-            self._cpt,
-            self.density,
-            omega,
-            theta,
-            [p.wave_direction for p in problems],
-            scattered,
-            out,
-            motion,
-            list(self._body.dofs),
-        )
-
-
-def _mean_drift(
-    cpt: Any,
-    density: float,
-    omega: float,
-    theta: Array,
-    directions: Sequence[float],
-    scattered: Complex,
-    radiated: Complex,
-    motion: Complex,
-    dofs: list[str],
-) -> Array:
-    """Capytaine's far-field drift, one direction at a time, body axes, shape (h, 3)."""
-    import xarray as xr
-
-    rows = []
-    for k, direction in enumerate(directions):
-        head = {"omega": [omega], "wave_direction": [direction], "theta": theta, "radiating_dof": dofs}
-        data = xr.Dataset(
-            {
-                "kochin_diffraction": (("omega", "wave_direction", "theta"), scattered[None, k : k + 1]),
-                "kochin_radiation": (("omega", "radiating_dof", "theta"), radiated[None]),
-            },
-            head | {"wavenumber": omega**2 / GRAVITY, "water_depth": np.inf, "rho": density, "g": GRAVITY},
-        )
-        X = xr.DataArray(
-            motion[None, k : k + 1],
-            {n: head[n] for n in ("omega", "wave_direction", "radiating_dof")},
-            ("omega", "wave_direction", "radiating_dof"),
-        )
-        found = cpt.post_pro.far_field_mean_drift_force(X, data)
-        rows.append(
-            [float(found[f"drift_force_{n}"].values.real.squeeze()) for n in ("surge", "sway", "yaw")]
-        )
-    return np.array(rows) * _SIGNS[[0, 1, 5]]
+        dofs = list(self._body.dofs)
+        rows = []
+        for k, direction in enumerate(p.wave_direction for p in problems):
+            head = {"omega": [omega], "wave_direction": [direction], "theta": theta, "radiating_dof": dofs}
+            data = xr.Dataset(
+                {
+                    "kochin_diffraction": (("omega", "wave_direction", "theta"), scattered[None, k : k + 1]),
+                    "kochin_radiation": (("omega", "radiating_dof", "theta"), radiated[None]),
+                },
+                head
+                | {
+                    "wavenumber": omega**2 / GRAVITY,
+                    "water_depth": np.inf,
+                    "rho": self.density,
+                    "g": GRAVITY,
+                },
+            )
+            X = xr.DataArray(
+                motion[None, k : k + 1],
+                {n: head[n] for n in ("omega", "wave_direction", "radiating_dof")},
+                ("omega", "wave_direction", "radiating_dof"),
+            )
+            found = self._cpt.post_pro.far_field_mean_drift_force(X, data)
+            rows.append(
+                [float(found[f"drift_force_{n}"].values.real.squeeze()) for n in ("surge", "sway", "yaw")]
+            )
+        return np.array(rows) * _SIGNS[[0, 1, 5]]

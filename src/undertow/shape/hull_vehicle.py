@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 import tomlkit
-from jinja2 import Template
 from pydantic import ValidationError
 
 from undertow.errors import UndertowError
@@ -309,7 +308,7 @@ def vehicle_text(
 ) -> str:
     """The text of a vehicle file, which is known to be a valid one."""
     render = partial(
-        _template().render,
+        templates("undertow.shape").get_template("vehicle.txt").render,
         made_from=_plain(made_from),
         about=[part for line in about for part in textwrap.wrap(_plain(line), _WIDTH)],
         name=_quoted(name),
@@ -332,11 +331,6 @@ def _of_its_motions(tables: Sequence[EffectTable], text: str) -> list[EffectTabl
     foreign = {n for n, v in vehicle.values.items() if v.estimate} - {*vehicle.parameter_names}
     left = [replace(t, entries=[e for e in t.entries if e.split(" ")[0] not in foreign]) for t in tables]
     return [new for new, old in zip(left, tables, strict=True) if new.entries or not old.entries]
-
-
-def _template() -> Template:
-    # TOML, not HTML: texts are quoted by tomlkit, comments made harmless by `_plain`.
-    return templates("undertow.shape").get_template("vehicle.txt")
 
 
 def _check(hull: Mesh, spec: HullSpec) -> None:

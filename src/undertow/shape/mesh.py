@@ -454,15 +454,11 @@ def bisected(mesh: Mesh, longest: float) -> Mesh:
         if own.max() <= longest:
             return mesh
         # An edge is cut where it is the longest of both its triangles: no other edge has to give way.
-        worst = of_face[np.arange(len(own)), _first_longest(own, of_face)]
+        # Place of the longest edge of each triangle; of equally long ones, the same for both neighbours.
+        rounded = np.round(own / own.max(axis=1, keepdims=True), 9)
+        worst = of_face[np.arange(len(own)), np.lexsort((of_face, rounded), axis=1)[:, -1]]
         wanted, votes = np.unique(worst, return_counts=True)
         mesh = _cut(mesh, edges, of_face, wanted[(votes == 2) & (lengths[wanted] > longest)], worst)
-
-
-def _first_longest(own: Array, of_face: Faces) -> NDArray[np.intp]:
-    """Place of the longest edge of each triangle; of equally long ones, the same for both neighbours."""
-    rounded = np.round(own / own.max(axis=1, keepdims=True), 9)
-    return np.lexsort((of_face, rounded), axis=1)[:, -1]
 
 
 def _cut(mesh: Mesh, edges: Faces, of_face: Faces, chosen: Faces, worst: Faces) -> Mesh:

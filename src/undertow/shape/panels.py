@@ -45,17 +45,13 @@ def panels(mesh: Mesh, finest: int, crease: float = PANEL_RULES.crease) -> tuple
     first = _projected(coarse, smooth)
     second = _projected(subdivided(first), smooth)
     third = _projected(subdivided(second), smooth)
-    _check_shape(third, smooth)
-    return first, second, third
-
-
-def _check_shape(panelled: Mesh, smooth: Mesh) -> None:
-    missed = abs(panelled.volume / smooth.volume - 1)
+    missed = abs(third.volume / smooth.volume - 1)
     if missed > PANEL_RULES.missed:
         raise UndertowError(
-            f"{len(panelled.faces)} panels miss the volume of the hull by {missed:.1%} "
+            f"{len(third.faces)} panels miss the volume of the hull by {missed:.1%} "
             f"(limit {PANEL_RULES.missed:.0%}): choose more panels"
         )
+    return first, second, third
 
 
 def _projected(mesh: Mesh, onto: Mesh) -> Mesh:
@@ -115,7 +111,10 @@ def _corner_normals(mesh: Mesh, flat: Array, least_cosine: float) -> Array:
     vertex = mesh.faces.reshape(-1)[order]
     begins = np.searchsorted(vertex, vertex, side="left")
     counts = np.searchsorted(vertex, vertex, side="right") - begins
-    weights = (mesh.areas[:, None] * _angles(mesh)).reshape(-1)
+    to_next = np.roll(mesh.corners, -1, axis=1) - mesh.corners
+    to_next /= np.linalg.norm(to_next, axis=2, keepdims=True)
+    cosine = -np.sum(to_next * np.roll(to_next, 1, axis=1), axis=2)
+    weights = (mesh.areas[:, None] * np.arccos(np.clip(cosine, -1.0, 1.0))).reshape(-1)
     found = np.zeros((3 * len(mesh.faces), 3))
     for step in range(int(counts.max())):
         here = step < counts
@@ -124,13 +123,6 @@ def _corner_normals(mesh: Mesh, flat: Array, least_cosine: float) -> Array:
         near = alike | (mine == other)  # rounding can make a triangle differ from itself
         found[mine] += np.where(near[:, None], weights[other][:, None] * flat[other // 3], 0.0)
     return (found / np.linalg.norm(found, axis=1, keepdims=True)).reshape(-1, 3, 3)
-
-
-def _angles(mesh: Mesh) -> Array:
-    to_next = np.roll(mesh.corners, -1, axis=1) - mesh.corners
-    to_next /= np.linalg.norm(to_next, axis=2, keepdims=True)
-    cosine = -np.sum(to_next * np.roll(to_next, 1, axis=1), axis=2)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 # Between body axes (z down) and those of the panel method (z up).
@@ -284,7 +276,10 @@ def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
         orders = np.nan_to_num(np.log2(np.abs(first / second)), nan=1.0)
     share = 1 / (2 ** np.clip(orders, *PANEL_RULES.orders) - 1)
     result, before = fine + share * second, middle + share * first
-    result = _without_negative(result)
+    # The nearest matrix that gives no negative energy: a body of revolution spins without moving water.
+    values, vectors = np.linalg.eigh(result)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    result = np.asarray(root @ root.T)
     scale = np.sqrt(np.outer(*2 * [np.diag(result)]))
     parts = [
         np.abs(result - fine) / 2,
@@ -293,10 +288,3 @@ def _extrapolated(found: Sequence[Array], missed: float) -> tuple[Array, Array]:
         missed * scale,
     ]
     return result, np.maximum.reduce(parts)
-
-
-def _without_negative(matrix: Array) -> Array:
-    """The nearest matrix that gives no negative energy: a body of revolution spins without moving water."""
-    values, vectors = np.linalg.eigh(matrix)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(root @ root.T)

@@ -20,9 +20,8 @@ from .mesh import Faces, Mesh
 class TypeRules:
     """What is taken for granted of a type; places and areas are shares of the size, sigmas of the value."""
 
-    low_weight: float = (
-        0.09  # centre of gravity below that of buoyancy, of the height: BlueROV2 0.08, REMUS 0.10
-    )
+    # centre of gravity below that of buoyancy, of the height: BlueROV2 0.08, REMUS 0.10
+    low_weight: float = 0.09
     trim: float = 0.01  # sigma of the buoyancy of a vehicle that was trimmed to float
     frame: float = 0.5  # sigma of added mass of open frames: three published sets of BlueROV2 differ as much
     # ROV thrusters of BlueROV2, over length, beam and height: four at 45 degrees, two or four upright
@@ -56,9 +55,8 @@ class TypeRules:
     froude: float = 0.2  # at which friction is taken
     resistance: float = 1.4  # total over plate friction: form, waves and appendages
     resistance_sigma: float = 0.4
-    crossflow: float = (
-        0.8  # section drag coefficient: Hoerner has 0.6 to 1.0 for beam over draught of 6 to 1.5
-    )
+    # section drag coefficient: Hoerner has 0.6 to 1.0 for beam over draught of 6 to 1.5
+    crossflow: float = 0.8
     crossflow_sigma: float = 0.4
     rudder_aspect: float = 1.5
     rudder_hull: float = 0.3  # force on the hull per force on the rudder, a_H: KVLCC2 0.312
@@ -225,7 +223,10 @@ def _torpedo(size: MainDimensions) -> Made:
 def _glider(size: MainDimensions) -> Made:
     mesh = _spindle(size)
     fins = _fin_force(size)
-    wing, hull = _wing_lift(size), _body_lift(size)
+    # Lift per angle of attack and speed squared, kg/m: Helmbold's slope with sweep.
+    ratio = _RULES.wing_span**2 / _RULES.wing_area
+    slope = 2 * pi * ratio / (2 + sqrt(4 + 2 * ratio**2))
+    wing, hull = size.density / 2 * _RULES.wing_area * size.length**2 * slope, _body_lift(size)
     plan = f"wings of {_RULES.wing_area:g} L^2 and span {_RULES.wing_span:g} L, swept by 45 degrees"
     arm = _RULES.body_lift_place * size.length
     upright = [
@@ -313,13 +314,6 @@ def _body_lift(size: MainDimensions) -> float:
     """Side force of a body of revolution per drift angle and speed squared, kg/m."""
     per_angle = _RULES.body_lift * 180 / pi * size.length / _diameter(size)
     return size.density / 2 * _diameter(size) ** 2 * per_angle
-
-
-def _wing_lift(size: MainDimensions) -> float:
-    """Lift per angle of attack and speed squared, kg/m: Helmbold's slope with sweep."""
-    ratio = _RULES.wing_span**2 / _RULES.wing_area
-    slope = 2 * pi * ratio / (2 + sqrt(4 + 2 * ratio**2))
-    return size.density / 2 * _RULES.wing_area * size.length**2 * slope
 
 
 def _slender_lift(size: MainDimensions, fins: float, across: str) -> Iterator[str]:

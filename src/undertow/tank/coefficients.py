@@ -18,7 +18,7 @@ from undertow.files import read_toml, together, write_whole
 from undertow.identification.logs.mapping import SCHEMA
 from undertow.model.symbols import DOFS, FORCE, VELOCITY
 from undertow.shape.hull_vehicle import EffectTable, entry_line, vehicle_text
-from undertow.typing import Array, Flags
+from undertow.typing import Array
 
 from .settings import RULES, Case, Tank, log_of
 
@@ -181,7 +181,13 @@ def _by_balance(
     """Damping, and added mass where no push says it, from the balance of forces at every time step."""
     columns, forces = [], []
     for r, length in records:
-        settled = _settled(r, length)
+        # Rows at which the hull has gone `_SETTLED` lengths at one speed, shape (n,).
+        speed = np.abs(r.speed)
+        way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(r.time))])
+        before = np.interp(way - _RULES.settled * length, way, r.speed)
+        settled = np.asarray(
+            (np.abs(r.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * length)
+        )
         kept = settled if known and settled.sum() >= _RULES.rows else np.ones_like(settled)
         kept = kept & (r.speed * direction > 0) if direction else kept
         u = r.speed[kept]
@@ -204,16 +210,6 @@ def _length(tank: Tank, case: Case) -> float:
     if case.prescribed and case.profile == "step":
         return case.end * case.peak / RULES.travel
     return 2.0 if DOFS.index(case.motion) > 2 else tank.size
-
-
-def _settled(record: Record, length: float) -> Flags:
-    """Rows at which the hull has gone `FitRules.settled` lengths at one speed, shape (n,)."""
-    speed = np.abs(record.speed)
-    way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(record.time))])
-    before = np.interp(way - _RULES.settled * length, way, record.speed)
-    return np.asarray(
-        (np.abs(record.speed - before) <= _RULES.even * speed) & (way >= _RULES.settled * length)
-    )
 
 
 def least_squares(table: Array, values: Array, *, positive: bool = False) -> tuple[Array, Array]:

@@ -48,10 +48,9 @@ class TankRules:
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
     push_steps: int = 40  # time steps of a short push
     push: float = 0.02  # travel of a short push, of the length along the motion: no wake forms
-    travel: float = (
-        15.0  # of steps, at the highest speed: the drag settles at two speeds, or the hull speeds up,
-    )
-    # coasts and is pushed back
+    # travel of steps, at the highest speed: the drag settles at two speeds, or the hull speeds up, coasts and
+    # is pushed back
+    travel: float = 15.0
     sine: float = 0.5  # amplitude of a prescribed sine, of the length along the motion
     periods: int = 3  # of a sine; the first is left out
     ramp: float = 1.0  # travel while a prescribed speed changes: impulsive starts diverge
@@ -95,9 +94,8 @@ class Case(_Strict):
     profile: str
     direction: Literal[-1, 1]
     prescribed: bool  # whether the motion is given and the force measured, or the other way round
-    peak: float = Field(
-        gt=0
-    )  # largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one
+    # Largest speed (m/s, rad/s) of a prescribed motion, force (N, N m) of a free one.
+    peak: float = Field(gt=0)
     # Highest speed expected, m/s, of a turning hull at the ends of its longest side: how turbulent water is.
     speed: float = Field(default=0.3, gt=0)
     inertia: float = Field(gt=0)  # mass, kg, or moment of inertia, kg m^2, that goes with the motion

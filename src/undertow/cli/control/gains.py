@@ -204,7 +204,6 @@ def show_mission(report: MissionReport) -> None:
 MISSION_SCHEMA = "undertow/mission-report/2"
 """Of what --json prints with --path; docs/missions.md documents it."""
 
-
 SCHEMA = "undertow/gain-report/2"
 """Of what --json prints; docs/gains.md documents it."""
 _GREEN, _RED = "green", "red"

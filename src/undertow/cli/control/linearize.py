@@ -194,7 +194,10 @@ def _check_picture(plot: str | None, out: Path | None, *inputs: str | None) -> N
 
 def show(found: Analysis, channels: Sequence[Channel]) -> None:
     """Print everything."""
-    section(f"Steady motion of {found.vehicle.name}", _trim(found))
+    trim, units = found.trim, found.units
+    rows = [(n, f"{v:.6g}", units[n]) for n, v in trim.states.items() if n not in ("x", "y")]
+    rows += [(n, f"{v:.6g}", units[n]) for n, v in trim.commands.items()]
+    section(f"Steady motion of {found.vehicle.name}", table(("", "value", "unit"), rows))
     for remark in found.trim.remarks:
         say(f"  {remark}", "yellow")
     title = f"Poles of the loop with {found.gains.name}" if found.gains else "Poles"
@@ -219,13 +222,6 @@ _MARGINS = {
 }
 _MOVED = ("commands move", "no command moves", "commands are linearly dependent")
 _SEEN = ("sensors show", "no sensor shows", "sensors are linearly dependent")
-
-
-def _trim(found: Analysis) -> object:
-    trim, units = found.trim, found.units
-    rows = [(n, f"{v:.6g}", units[n]) for n, v in trim.states.items() if n not in ("x", "y")]
-    rows += [(n, f"{v:.6g}", units[n]) for n, v in trim.commands.items()]
-    return table(("", "value", "unit"), rows)
 
 
 def show_modes(title: str, modes: Sequence[Mode]) -> None:

@@ -59,7 +59,7 @@ from .._terminal import progress, section, table
 if TYPE_CHECKING:
     from undertow.control.closed_loop import LoopResult, Overrides, Push, Record, Scenario
     from undertow.control.closed_loop.measures import CoordinateResult, Cycle
-    from undertow.control.closed_loop.record import FollowedError, FollowedResult
+    from undertow.control.closed_loop.record import FollowedError
     from undertow.control.guidance.mission import Mission
 
 
@@ -298,7 +298,14 @@ def _facts(result: LoopResult) -> Iterator[str]:
     if result.gate_passed is not None:
         yield f"heading within the gate after {result.gate_passed:.3f} s, then x and y"
     if result.followed is not None:
-        yield _mission(result.followed, result.duration)
+        arrived = result.followed.arrived
+        end = "not reached"
+        if arrived is not None:
+            end = f"reached after {arrived:.4g} s"
+            by_sight = any(e.name == "cross track" for e in result.followed.errors)
+            if by_sight and math.ceil(arrived) < result.duration:
+                end += f", but not held: --for {math.ceil(arrived)} leaves out what comes after"
+        yield f"mission '{result.followed.mission}' ({result.followed.kind}): its end is {end}"
     if result.divergence is not None:
         yield f"DIVERGED: {result.divergence.text}; the numbers are up to that time"
     if result.turned_thrusters:
@@ -313,17 +320,6 @@ def _facts(result: LoopResult) -> Iterator[str]:
     if left:
         sizes = ", ".join(f"{c.sampling_offset:.3g} {c.unit} in {name}" for name, c in left.items())
         yield f"the sampled sign of the law may leave an error of up to {sizes} (an estimate)"
-
-
-def _mission(followed: FollowedResult, duration: float) -> str:
-    arrived = followed.arrived
-    end = "not reached"
-    if arrived is not None:
-        end = f"reached after {arrived:.4g} s"
-        by_sight = any(e.name == "cross track" for e in followed.errors)
-        if by_sight and math.ceil(arrived) < duration:
-            end += f", but not held: --for {math.ceil(arrived)} leaves out what comes after"
-    return f"mission '{followed.mission}' ({followed.kind}): its end is {end}"
 
 
 def _followed(e: FollowedError) -> tuple[str, ...]:

@@ -71,7 +71,13 @@ def _show(result: ComparisonResult) -> None:
     section("Simulated against measured", _channels(result))
     section("Force that the model lacks", _forces(result))
     if any(cell.normalised is not None for cell in result.cells):
-        section("Residual force, times noise", _error_map(result))
+        cells = {(c.regime, c.degree_of_freedom): c for c in result.cells}
+        rows = []
+        for regime in dict.fromkeys(c.regime for c in result.cells):
+            row = [cells[regime, dof].normalised for dof in result.degrees_of_freedom]
+            if any(value is not None for value in row):
+                rows.append((regime, *(_number(value) for value in row)))
+        section("Residual force, times noise", table(("regime", *result.degrees_of_freedom), rows))
     section("Force budget, % of all rms", _budget(result))
     error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
     say(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)")
@@ -102,16 +108,6 @@ def _forces(result: ComparisonResult) -> Any:
         most = f"{name} {value:+.2f}"
         rows.append((f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", most))
     return table(("motion", "rms", "noise", "noise explains", "lag 1", "white: p", "most with"), rows)
-
-
-def _error_map(result: ComparisonResult) -> Any:
-    cells = {(c.regime, c.degree_of_freedom): c for c in result.cells}
-    rows = []
-    for regime in dict.fromkeys(c.regime for c in result.cells):
-        row = [cells[regime, dof].normalised for dof in result.degrees_of_freedom]
-        if any(value is not None for value in row):
-            rows.append((regime, *(_number(value) for value in row)))
-    return table(("regime", *result.degrees_of_freedom), rows)
 
 
 def _budget(result: ComparisonResult) -> Any:

@@ -119,7 +119,10 @@ def _diagnosed(
             settings=settings,
             trust_log=options.trust_log,
         )
-    long = loaded.checked(_models(outcome, part.vehicle))
+    # The models of a diagnosis by what they are called; the last is the one that it hands on.
+    models = {"as given": part.vehicle, "refitted": outcome.before}
+    added = " and ".join(outcome.effects)
+    long = loaded.checked({**models, f"with {added}": outcome.after} if added else models)
     command = next_command(outcome.diagnosis, line, plannable=can_be_planned(part.vehicle))
     changes = {"command": command, "long_logs": long}
     return replace(outcome, diagnosis=outcome.diagnosis.model_copy(update=changes))
@@ -153,13 +156,6 @@ def _write(
     if apply is not None:
         contents = "; ".join(dict.fromkeys(_content(outcome.diagnosis) for outcome in outcomes))
         console().print(text(f"wrote {apply}: {contents}"))
-
-
-def _models(outcome: DiagnosisResult, given: Vehicle) -> dict[str, Vehicle]:
-    """The models of a diagnosis by what they are called; the last is the one that it hands on."""
-    models = {"as given": given, "refitted": outcome.before}
-    added = " and ".join(outcome.effects)
-    return {**models, f"with {added}": outcome.after} if added else models
 
 
 _SHOWN = 6

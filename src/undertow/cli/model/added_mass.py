@@ -55,7 +55,6 @@ _OMEGA = typer.Option(
     metavar="RAD/S", help="Frequency at which to compute radiation damping; may be repeated."
 )
 
-
 _DENSITY = typer.Option(
     metavar="KG/M3", help="Density of the water.", show_default="that of --into VEHICLE, or 1000"
 )

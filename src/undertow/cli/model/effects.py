@@ -153,7 +153,13 @@ def _print_description(d: Description) -> None:
     section("LaTeX")
     for equation in d.equations:
         say(f"  {equation.latex}")
-    _print_parameters(d)
+    rows = [(p.name, p.unit, _number(p.low), _number(p.high), _role(p), p.about) for p in d.parameters]
+    rows += [(n, unit, "", "", "in files", "another way to write it") for n, unit in d.also_in_files.items()]
+    rows += [(n, "", "", "", "from a log", about) for n, about in d.from_logs.items()]
+    content = (
+        table(("name", "unit", "from", "to", "", "meaning"), rows) if rows else text("  none of its own")
+    )
+    section("Parameters (SNAME signs)", content)
     section("In a log", text(f"  {d.signature}"))
     section("Reference", text(f"  {d.reference}"))
 
@@ -167,16 +173,6 @@ def _remarks(d: Description) -> str:
         remarks.append("comes with the hardware of the vehicle")
     line = "; ".join(remarks)
     return f"{line[0].upper()}{line[1:]}." if line else ""
-
-
-def _print_parameters(d: Description) -> None:
-    rows = [(p.name, p.unit, _number(p.low), _number(p.high), _role(p), p.about) for p in d.parameters]
-    rows += [(n, unit, "", "", "in files", "another way to write it") for n, unit in d.also_in_files.items()]
-    rows += [(n, "", "", "", "from a log", about) for n, about in d.from_logs.items()]
-    content = (
-        table(("name", "unit", "from", "to", "", "meaning"), rows) if rows else text("  none of its own")
-    )
-    section("Parameters (SNAME signs)", content)
 
 
 def _number(value: float | None) -> str:

@@ -61,7 +61,6 @@ CreaseOption = Annotated[
     ),
 ]
 
-
 Method = Literal["auto", "panels", "ellipsoid", "box"]
 
 app = typer.Typer(add_completion=False)
@@ -347,17 +346,12 @@ def _of_type(
     say(f"wrote {target}; check what is assumed: undertow vehicles show {target}")
 
 
-def _by_panels(method: Method) -> bool:
-    from undertow.shape.mesh import has_capytaine
-
-    return method == "panels" or (method == "auto" and has_capytaine())
-
-
 def _added(mesh: Mesh, density: float, method: Method, finest: int, crease: float) -> AddedMass:
     from undertow.shape.bodies import equivalent
+    from undertow.shape.mesh import has_capytaine
     from undertow.shape.panels import added_mass_of_hull
 
-    if not _by_panels(method):
+    if not (method == "panels" or (method == "auto" and has_capytaine())):
         return equivalent(mesh, density, None if method == "auto" else method)
     with progress("panels") as report:
         return added_mass_of_hull(mesh, density, finest=finest, crease=crease, report=report).added

@@ -50,10 +50,7 @@ def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
         return None
     times = t[rising] - swing[rising] * (t[rising + 1] - t[rising]) / (swing[rising + 1] - swing[rising])
     amplitudes = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
-    return _cycle_of(np.diff(times), amplitudes, least)
-
-
-def _cycle_of(periods: np.ndarray, amplitudes: np.ndarray, least: float) -> Cycle | None:
+    periods = np.diff(times)
     spread = float(periods.std())
     if amplitudes[-1] < least or spread > _REGULAR * periods.mean():
         return None
@@ -81,8 +78,8 @@ ALONG, CROSS = "along track", "cross track"
 
 
 @dataclass(frozen=True)
-class PlausibleStates:
-    """Limits of the state of a vehicle in water; a run beyond them has diverged."""
+class PlausibleSettings:
+    """What a vehicle in water can do; a run beyond it has diverged."""
 
     # largest speed and turning rate along each axis, m/s and rad/s: `FASTEST`, which no vehicle reaches
     speed: float = FASTEST
@@ -90,22 +87,24 @@ class PlausibleStates:
     # time so far and this many seconds more, m and rad; farther, the integration has jumped
     ahead: float = 1.0
 
-    def limits(self, t: np.ndarray, pose: int, states: int) -> np.ndarray:
-        """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
-        found = np.full((len(t), states), np.inf)
-        found[:, :pose] = 2 * self.speed * (t[:, None] + self.ahead)
-        found[:, pose : 2 * pose] = self.speed
-        return found
 
-    def implausible(self, x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Where states are not finite or beyond their limits, shape (..., n, states)."""
-        pose = start.shape[-1]
-        moved = x.copy()
-        moved[..., :pose] -= start[..., None, :]
-        return ~np.isfinite(x) | (np.abs(moved) > self.limits(t, pose, x.shape[-1]))
+PLAUSIBLE = PlausibleSettings()
 
 
-PLAUSIBLE = PlausibleStates()
+def _limits(t: np.ndarray, pose: int, states: int) -> np.ndarray:
+    """Largest magnitudes at some times, shape (n, states): change of pose, velocities, then no limit."""
+    found = np.full((len(t), states), np.inf)
+    found[:, :pose] = 2 * PLAUSIBLE.speed * (t[:, None] + PLAUSIBLE.ahead)
+    found[:, pose : 2 * pose] = PLAUSIBLE.speed
+    return found
+
+
+def implausible(x: np.ndarray, start: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Where states are not finite or no vehicle in water reaches them, shape (..., n, states)."""
+    pose = start.shape[-1]
+    moved = x.copy()
+    moved[..., :pose] -= start[..., None, :]
+    return ~np.isfinite(x) | (np.abs(moved) > _limits(t, pose, x.shape[-1]))
 
 
 @dataclass(frozen=True)
@@ -123,10 +122,9 @@ class Divergence:
 
 def divergence(names: Sequence[str], x: np.ndarray, start: np.ndarray, t: float) -> Divergence:
     """What has diverged in a state at time t, shape (states,), with the pose that the run began with."""
-    implausible = PLAUSIBLE.implausible(x[None], start, np.array([t]))[0]
-    index = int(np.argmax(implausible))
+    index = int(np.argmax(implausible(x[None], start, np.array([t]))[0]))
     pose = len(start)
-    limit = float(PLAUSIBLE.limits(np.array([t]), pose, len(x))[0, index])
+    limit = float(_limits(np.array([t]), pose, len(x))[0, index])
     name, value = names[index], float(x[index] - (start[index] if index < pose else 0.0))
     unit = MOTION_UNITS.get(name, "")
     if not math.isfinite(value):
@@ -264,22 +262,19 @@ class Measures:
     def add(self, begin: int, rows: Rows) -> int:
         """Take in the rows of the samples from `begin` on; how many there are before the run diverges."""
         t = (begin + np.arange(len(rows.x))) * self._scenario.dt
-        implausible = np.flatnonzero(PLAUSIBLE.implausible(rows.x, self._start, t).any(axis=1))
-        count = int(implausible[0]) if implausible.size else len(t)
+        beyond = np.flatnonzero(implausible(rows.x, self._start, t).any(axis=1))
+        count = int(beyond[0]) if beyond.size else len(t)
         if count < len(t):
             self.diverged = divergence(self._states, rows.x[count], self._start, float(t[count]))
         if count:
-            self._add_rows(t, rows, count)
+            errors = self._errors_from(self._goal, rows.x[:count])
+            for name, error in errors.items():
+                self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
+            passed = np.flatnonzero(rows.s[:count, -1] > 0)
+            if self.gate is None and passed.size:
+                self.gate = float(t[passed[0]])
+            self._commands.add(rows.u[:count], self._scenario.dt)
         return count
-
-    def _add_rows(self, t: np.ndarray, rows: Rows, count: int) -> None:
-        errors = self._errors_from(self._goal, rows.x[:count])
-        for name, error in errors.items():
-            self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
-        passed = np.flatnonzero(rows.s[:count, -1] > 0)
-        if self.gate is None and passed.size:
-            self.gate = float(t[passed[0]])
-        self._commands.add(rows.u[:count], self._scenario.dt)
 
     def errors(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """Desired less true pose over rows of states, along and across the track, too."""

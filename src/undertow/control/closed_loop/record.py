@@ -65,7 +65,7 @@ class LoopResult:
     to: Mapping[str, float]
     # when the heading came within the gate, s; None if it did not, or there is no gate
     gate_passed: float | None
-    # When the state left what a vehicle in water can have, s: not finite, or beyond `PlausibleStates`. The
+    # When the state left what a vehicle in water can have, s: not finite, or `implausible`. The
     # measures are of the run up to there.
     diverged: float | None
     divergence: Divergence | None  # what diverged, with the numbers

@@ -23,7 +23,7 @@ from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
-from .measures import PLAUSIBLE, Measures
+from .measures import Measures, implausible
 from .parts import Parts, SampledLoop, check_interval, check_steps, sampling_offsets
 from .record import Record, Recorder
 from .scenario import Scenario, heading
@@ -82,7 +82,7 @@ class Runs:
 
     t: np.ndarray  # (n,): times of the rows, s
     # (b, n, nx): true states; NaN from the first row on at which a run has diverged: it is no number any
-    # more, or none that a vehicle in water can have (`PlausibleStates`)
+    # more, or none that a vehicle in water can have (`implausible`)
     states: np.ndarray
     commands: np.ndarray  # (b, n, nu): commands that the controller gives at the rows
     # state_names, command_names: names of the last axes
@@ -114,8 +114,7 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
         row = rows.stop
     pose = len(loop.vehicle.pose_names)
     states = runs.states[share]
-    implausible = PLAUSIBLE.implausible(states, states[:, 0, :pose], runs.t).any(axis=2)
-    diverged = np.maximum.accumulate(implausible, axis=1)
+    diverged = np.maximum.accumulate(implausible(states, states[:, 0, :pose], runs.t).any(axis=2), axis=1)
     if not diverged[:, -1].any():
         return
     runs.states[share][diverged] = np.nan
@@ -136,21 +135,17 @@ def blocks(
     sensors = parts.observer.noise if parts.observer else {}
     sigmas = replace(scenario, noise={**sensors, **scenario.noise}).noise_of(parts.reported_names)
     random = [np.random.default_rng(scenario.seed + i) for i in runs] if sigmas.any() else []
-    _check_pushes(parts, scenario)
-    for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
-        count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
-        noise = [r.standard_normal((count, len(sigmas))) * sigmas for r in random]
-        extra = _disturbance(parts, scenario, begin, count) if scenario.pushes else None
-        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, signals)
-
-
-def _check_pushes(parts: Parts, scenario: Scenario) -> None:
     for push in scenario.pushes:
         if f"tau_{push.axis}" not in parts.vehicle.command_names:
             raise UndertowError(
                 f"force {push.axis} pushes where '{parts.vehicle.name}' does not move: it has "
                 f"{', '.join(parts.vehicle.degrees_of_freedom)}"
             )
+    for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
+        count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
+        noise = [r.standard_normal((count, len(sigmas))) * sigmas for r in random]
+        extra = _disturbance(parts, scenario, begin, count) if scenario.pushes else None
+        yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, signals)
 
 
 def _disturbance(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
@@ -196,7 +191,10 @@ class ClosedLoop:
         compiled: bool | None = None,
     ) -> None:
         known = gains.plant.vehicle
-        self.vehicle = _with_forces(vehicle or known)
+        # The vehicle with a channel for forces from outside in each of its degrees of freedom.
+        vehicle = vehicle or known
+        names = tuple(f"tau_{'XYZKMN'[i]}" for i in vehicle.dof_indices)
+        self.vehicle = replace(vehicle, force_channels=names)
         self.mission = mission
         controller = Controller(gains, mission.reference(gains) if mission else None)
         self._compiled = compiled
@@ -389,12 +387,6 @@ class ClosedLoop:
                 check_interval(linear, self.parts, scenario.dt, moves)
             self._known_substeps = {key: linear.substeps(scenario.dt, scenario.continuous)}
         return self._known_substeps[key]
-
-
-def _with_forces(vehicle: Vehicle) -> Vehicle:
-    """The vehicle with a channel for forces from outside in each of its degrees of freedom."""
-    names = tuple(f"tau_{'XYZKMN'[i]}" for i in vehicle.dof_indices)
-    return replace(vehicle, force_channels=names)
 
 
 _SWAY_FORCE = "tau_Y"

@@ -118,7 +118,18 @@ def problem_of(
     runs = len(start)
     p = np.tile(parts.parameters, (runs, 1)) if p is None else p
     k = np.tile(parts.gains, (runs, 1)) if k is None else k
-    delay, delays = _delays(parts, p, dt)
+    # Samples that commands and each report are late, the same in all runs.
+    late, ages = parts.delays(p)
+    seconds = np.column_stack([late, ages])
+    known = {s: whole_samples(s, dt) for s in np.unique(seconds).tolist()}
+    samples = np.vectorize(known.__getitem__, otypes=[np.int64])(seconds)
+    other = np.flatnonzero((samples != samples[0]).any(axis=1))
+    if other.size:
+        raise UndertowError(
+            f"run {other[0]} has different dead times from run 0, in samples of {dt:g} s: simulate runs with "
+            "equal dead times together"
+        )
+    delay, delays = int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])
     return LoopProblem(
         dt,
         substeps,
@@ -134,21 +145,6 @@ def problem_of(
         np.zeros((runs, delay + 1, parts.functions.u.numel())),
         np.zeros((runs, int(delays.max(initial=0)) + 1, len(delays))),
     )
-
-
-def _delays(parts: Parts, p: np.ndarray, dt: float) -> tuple[int, np.ndarray]:
-    """Samples that commands and each report are late, the same in all runs."""
-    late, ages = parts.delays(p)
-    seconds = np.column_stack([late, ages])
-    known = {s: whole_samples(s, dt) for s in np.unique(seconds).tolist()}
-    samples = np.vectorize(known.__getitem__, otypes=[np.int64])(seconds)
-    other = np.flatnonzero((samples != samples[0]).any(axis=1))
-    if other.size:
-        raise UndertowError(
-            f"run {other[0]} has different dead times from run 0, in samples of {dt:g} s: simulate runs with "
-            "equal dead times together"
-        )
-    return int(samples[0, 0]), np.ascontiguousarray(samples[0, 1:])
 
 
 _POINTER = ctypes.c_void_p

@@ -304,13 +304,9 @@ class Attitudes:
 
         The other half turns x and y round, which changes no eigenvalue, as gains are diagonal.
         """
-        ends = [
-            0.5 * np.pi if a == "psi" and self.heading_factors_out else self._largest_angle(a) for a in angles
-        ]
+        heading = 0.5 * np.pi if self.heading_factors_out else np.pi
+        ends = [heading if a == "psi" else self.tilt for a in angles]
         return np.array([[-e, e] for e in ends])
-
-    def _largest_angle(self, angle: str) -> float:
-        return np.pi if angle == "psi" else self.tilt
 
     def invariant(self, yaw_invariant: bool) -> bool:
         """Whether no attitude changes an eigenvalue: J J' = I, and every gain commutes with J."""
@@ -444,7 +440,12 @@ def margin_bound_over_cases(
     if best <= 0:
         return Certificate(best, best, place, "fails there")
     bound, count = _branch_and_bound(margin, attitudes, angles, cases, best)
-    return Certificate(bound, best, place, _interval_proof(attitudes, angles, count, bound))
+    tilted = [a for a in angles if a != "psi"]
+    ranges = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
+    claim = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
+    return Certificate(
+        bound, best, place, f"{claim} for {ranges}all headings: interval arithmetic on {count} boxes"
+    )
 
 
 def _least_sampled(
@@ -528,10 +529,3 @@ def _algebraic_proof(attitudes: Attitudes) -> str:
     if attitudes.angles(False):
         return "all headings: J J' = I, so M_q = J M J' has the eigenvalues of M"
     return "J is constant"
-
-
-def _interval_proof(attitudes: Attitudes, angles: tuple[str, ...], boxes: int, bound: float) -> str:
-    tilted = [a for a in angles if a != "psi"]
-    ranges = f"|{'|, |'.join(tilted)}| <= {np.degrees(attitudes.tilt):.4g} deg, " if tilted else ""
-    claim = f"certainly above {bound:.4g}" if bound > 0 else "NOT proved"
-    return f"{claim} for {ranges}all headings: interval arithmetic on {boxes} boxes"

@@ -212,7 +212,14 @@ def reaching(problem: Problem, uncertainty: Uncertainty) -> list[Row]:
     """
     if "K_Z" not in problem.values or not problem.decoupled:
         return []
-    weight = _weight_error(problem, uncertainty)
+    # Largest error of each row of g over all attitudes, when every parameter is within its interval.
+    plant = problem.plant
+    symbols = sorted(plant.g.free_symbols & set(plant.numbers), key=str)
+    widths = _half_widths(uncertainty, tuple(map(str, symbols)))
+    weight = np.zeros(len(plant.g))
+    for x, width in zip(symbols, widths, strict=True):
+        slope = plant.g.diff(x).xreplace(plant.numbers)
+        weight += width * np.array([_largest(e, problem) for e in slope])
     if not weight.any():
         return []
     rows = ((signs, i) for signs in problem.sets[:2] for i in problem.driven)
@@ -247,18 +254,6 @@ def _half_widths(uncertainty: Uncertainty, names: tuple[str, ...]) -> Array:
     """Half the width of the interval of each parameter."""
     sigmas = np.sqrt(np.diag(uncertainty.covariance(names))) if names else np.zeros(0)
     return ndtri(0.5 + uncertainty.confidence / 2) * sigmas
-
-
-def _weight_error(problem: Problem, uncertainty: Uncertainty) -> Array:
-    """Largest error of each row of g over all attitudes, when every parameter is within its interval."""
-    plant = problem.plant
-    symbols = sorted(plant.g.free_symbols & set(plant.numbers), key=str)
-    widths = _half_widths(uncertainty, tuple(map(str, symbols)))
-    total = np.zeros(len(plant.g))
-    for x, width in zip(symbols, widths, strict=True):
-        slope = plant.g.diff(x).xreplace(plant.numbers)
-        total += width * np.array([_largest(e, problem) for e in slope])
-    return total
 
 
 def _largest(expression: sm.Expr, problem: Problem) -> float:

@@ -52,31 +52,7 @@ def check(
 ) -> Report:
     """Check the gains of a law against every condition, without effects that no condition knows.
 
-    Parameters
-    ----------
-    gains : GainSet
-        Law, numbers and vehicle.
-    uncertainty : Uncertainty, optional
-        How far the parameters of the vehicle are known; standard deviations of its file unless given.
-    forms : sequence of str
-        Which forms of conditions; all where none is named.
-    iota : float, optional
-        The constant of the PID conditions, 1/s; searched for when not given.
-    tilt : float
-        Largest roll and pitch that conditions have to hold for, rad.
-    start : mapping, optional
-        Largest errors by coordinate, m and rad, that the region has to hold: a box, at rest.
-    uncertain : float, mapping or "stated", optional
-        Parameters that the region has to hold for every value of: all of inertia and damping within a share
-        of their values, some within their own shares, or those with a standard deviation in their intervals.
-    progress : callable
-        Is called as the work goes on.
-
-    Raises
-    ------
-    UndertowError
-        If the mass matrix is not positive definite, damping is not finite at rest, iota, tilt, a start or an
-        uncertainty is none, or the vehicle yaws with only one of surge and sway.
+    As `control.api.check_gains`, with `tilt` in rad; `uncertainty` is that of the vehicle file unless given.
     """
     if iota is not None and not 0 < iota < np.inf:
         raise UndertowError(

@@ -284,13 +284,7 @@ def numeric_matrix(plant: Plant, matrix: sm.Matrix, box: ParameterBox = EXACT_PA
 
 
 def terms_of(plant: Plant, matrix: sm.Matrix, box: ParameterBox = EXACT_PARAMETERS) -> list[Term]:
-    """Damping and the like as a sum of products of numbers, velocities, their magnitudes and signs.
-
-    Raises
-    ------
-    UndertowError
-        If it is no such sum.
-    """
+    """Damping and the like as a sum of products of numbers, velocities, their magnitudes and signs."""
     symbols = [*plant.nu, *(s for kind in sizes_and_signs(plant) for s in kind), *shift_symbols(box)]
     moving, found = numeric_matrix(plant, matrix, box).applyfunc(sm.expand), []
     for i, j in product(range(len(plant.nu)), repeat=2):

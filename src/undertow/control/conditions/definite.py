@@ -31,12 +31,11 @@ class ProofSettings:
 SETTINGS = ProofSettings()
 
 
-def mean_cholesky(middle: Array, place: Any, count: int) -> Array:
-    """Cholesky factors of the mean of the matrices at each place; of the identity where there is none."""
-    total, many = np.zeros((count, *middle.shape[1:])), np.bincount(place, minlength=count)
+def _mean_cholesky(middle: Array, place: Any) -> Array:
+    """Cholesky factors of the mean of the matrices at each place."""
+    total = np.zeros((place.max() + 1, *middle.shape[1:]))
     np.add.at(total, place, middle)
-    total[many == 0] = np.eye(middle.shape[-1])
-    return np.asarray(np.linalg.cholesky(total / np.maximum(many, 1)[:, None, None]))
+    return np.asarray(np.linalg.cholesky(total / np.bincount(place)[:, None, None]))
 
 
 def _upper_bound(offsets: Array) -> Array:
@@ -100,17 +99,7 @@ class MatrixBudget:
 
 
 class VertexTree:
-    """The ends of one velocity in sets, by halving, and a matrix below all ends of each set.
-
-    Attributes
-    ----------
-    children : ndarray
-        The two halves of each set, shape (sets, 2); -1 where it is a single end.
-    below : ndarray
-        Shape (places, sets, size, size).
-    off : ndarray
-        How far `lower` is from the middle of the set, of the same shape.
-    """
+    """The ends of one velocity in sets, by halving, and a matrix below all ends of each set."""
 
     def __init__(self, ends: Array) -> None:
         self.ends = ends  # one below each end, shape (places, ends, size, size)
@@ -121,7 +110,8 @@ class VertexTree:
             single = high - low == 1
             halves.append((-1, -1) if single else (len(ranges), len(ranges) + 1))
             ranges += [] if single else [(low, (low + high) // 2), ((low + high) // 2, high)]
-        self.children = np.array(halves)
+        self.children = np.array(halves)  # the two halves of each set; -1 where it is a single end
+        # `lower`, shape (places, sets, size, size), and how far it is from the middle of the set.
         found = [_lower_bound(ends[:, low:high]) for low, high in ranges]
         self.lower, self.offset = (np.stack(part, axis=1) for part in zip(*found, strict=True))
 
@@ -172,7 +162,7 @@ def sums_positive(rest: Interval, place: Any, ends: list[Interval], box: Any, bu
     if len(pending):
         used, places = np.unique(place[pending], return_inverse=True)
         # Triangular, so regular for certain: in these states rows are near the identity.
-        inverse = np.asarray(np.linalg.inv(mean_cholesky(middle[pending], places, len(used))), dtype=float)
+        inverse = np.asarray(np.linalg.inv(_mean_cholesky(middle[pending], places)), dtype=float)
         rows = lower_bound(_congruent(rest[pending], inverse[places]))
         trees = [VertexTree(_congruent_lower(e[used], inverse[:, None])) for e in ends]
         _branch(rows, places, trees, box[pending], proved, budget)
@@ -259,17 +249,10 @@ class LMI(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What a program came to.
+    """What a program came to."""
 
-    Attributes
-    ----------
-    x : ndarray
-        The unknowns.
-    duals : list of ndarray
-        By form, a matrix Z: the least cost changes by -trace(Z' change) with a small change of the form.
-    """
-
-    x: Array
+    x: Array  # the unknowns
+    # By form, a matrix Z: the least cost changes by -trace(Z' change) with a small change of the form.
     duals: list[Array]
 
 

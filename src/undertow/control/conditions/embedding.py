@@ -98,12 +98,10 @@ def _jet(value: Any) -> Jet:
 
 
 def rotation_of(plant: Plant) -> sm.Matrix:
-    """How the translations turn from body to earth: a rotation, which with some axes left out they need not.
+    """How the translations turn from body to earth.
 
-    Raises
-    ------
-    UndertowError
-        If they do not: then the frame of an error matters, and inertia equal in all axes turns, too.
+    What is no rotation, as with some axes left out, is refused: then the frame of an error matters, and
+    inertia equal in all axes turns, too.
     """
     own = [i for i, d in enumerate(plant.vehicle.dof_indices) if d < 3]
     rotation = plant.J.extract(own, own)
@@ -140,33 +138,17 @@ class Corners:
 
     No entry has a product of two velocities, so that a corner of the box is one end for each of them. Where a
     sign changes the mass matrix, or stands beside another velocity, each sign is a case of its own.
-
-    Attributes
-    ----------
-    rest : Matrices
-        Without motion, by case of the signs.
-    ends : sequence of Matrices
-        By velocity: what its ends add, the ends of the first case before those of the second.
-    bend : Matrices
-        One interval around all that velocities do, with the mass matrices of all cases.
-    switching : sequence of int
-        Velocities whose sign is that of the case; their second end is rest.
-    values : sequence of ndarray
-        By velocity: its value at its ends, shape (cases, ends).
-    shifted : sequence of (Matrices, Matrices)
-        By uncertain parameter, at the upper end of its interval: what it adds to the inverse of the mass
-        matrix beside C + D without motion, and to C + D.
-    beyond : Matrices
-        What parameters do to both together: A is off by up to their product.
     """
 
-    rest: Matrices
-    ends: Sequence[Matrices]
-    hull: Matrices
-    switching: Sequence[int]
-    values: Sequence[Array]
+    rest: Matrices  # without motion, by case of the signs
+    ends: Sequence[Matrices]  # by velocity: what its ends add, those of the first case before the second's
+    hull: Matrices  # one interval around all that velocities do, with the mass matrices of all cases
+    switching: Sequence[int]  # velocities whose sign is that of the case; their second end is rest
+    values: Sequence[Array]  # by velocity: its value at its ends, shape (cases, ends)
+    # By uncertain parameter, at the upper end of its interval: what it adds to the inverse of the mass matrix
+    # beside C + D without motion, and to C + D.
     shifts: Sequence[tuple[Matrices, Matrices]]
-    remainder: Matrices
+    remainder: Matrices  # what parameters do to both together: A is off by up to their product
 
     @property
     def cases(self) -> int:
@@ -200,7 +182,11 @@ class Embedding:
         self.integral = "K_I" in problem.values
         self.size = (3 if self.integral else 2) * self.n
         rotation, unit = rotation_of(plant), sm.eye(len(self.translations))
-        self._in_body_frame = self._gains_commute(rotation)
+        diagonals = [np.diag(K)[self.translations] for K in self._gains]
+        pairs = product(range(rotation.rows), repeat=2)
+        self._in_body_frame = all(
+            rotation[i, j] == 0 or all(k[i] == k[j] for k in diagonals) for i, j in pairs if i != j
+        )
         self._frame_rotation, rest_rotation = (rotation, unit) if self._in_body_frame else (unit, rotation)
         L = sm.eye(self.n)
         for i, a in enumerate(self.translations):
@@ -215,10 +201,6 @@ class Embedding:
         self.angles = tuple(a for a in ANGLES if symbol(a) in (L.free_symbols | N.free_symbols))
 
     # --- frames -------------------------------------------------------------------------------
-    def _gains_commute(self, rotation: sm.Matrix) -> bool:
-        diagonals = [np.diag(K)[self.translations] for K in self._gains]
-        pairs = product(range(rotation.rows), repeat=2)
-        return all(rotation[i, j] == 0 or all(k[i] == k[j] for k in diagonals) for i, j in pairs if i != j)
 
     @property
     def frame_name(self) -> str:
@@ -453,13 +435,7 @@ def _columns(rows: Array | Interval) -> list[Interval]:
 
 
 def motion_terms(plant: Plant, box: ParameterBox = EXACT_PARAMETERS) -> list[Term]:
-    """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most.
-
-    Raises
-    ------
-    UndertowError
-        If it is no such sum.
-    """
+    """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most; else refused."""
     found = terms_of(plant, plant.C + plant.D, box)
     if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
         raise UndertowError(

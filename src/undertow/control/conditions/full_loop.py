@@ -188,13 +188,24 @@ def _equilibria(gains: GainSet) -> Iterator[dict[str, float]]:
 
 
 def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
-    matrix = _without_unactuated_integrals(loop)
+    from scipy.linalg import matrix_balance
+
+    # A of the closed loop without integrals that nothing depends on.
+    system, law_states = loop.closed, set(loop.law.state_labels)
+    kept = list(range(system.nstates))
+    for i, name in enumerate(system.state_labels):
+        if name in law_states and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
+            kept.remove(i)
+    matrix = np.asarray(system.A[np.ix_(kept, kept)])
     poles = np.linalg.eigvals(matrix)
     worst = complex(max(poles, key=lambda p: (p.real, p.imag)))
     if worst.real > SETTINGS.slowest_decay:
         return FullLoop("unstable", worst, case.where)
     undamped = int(np.sum(poles.real >= -SETTINGS.slowest_decay))
-    rank_deficiency = len(matrix) - _rank(matrix)
+    # Rank after balancing, so that states of small and large numbers count alike.
+    balanced, _ = matrix_balance(matrix)
+    singular = np.linalg.svd(balanced, compute_uv=False)
+    rank_deficiency = len(matrix) - int(np.sum(singular > 1e-9 * singular[0]))
     if case.unactuated and undamped > rank_deficiency:
         text = f"an unactuated motion, or the integral of its error, diverges ({case.where or 'at rest'})"
         return FullLoop("unstable", worst, text)
@@ -204,25 +215,6 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
     decaying = [complex(p) for p in poles if p.real < -SETTINGS.slowest_decay]
     slowest = max(decaying, key=lambda p: (p.real, p.imag), default=worst)
     return _with_offset(FullLoop("stable", slowest, case.where), loop)
-
-
-def _without_unactuated_integrals(loop: LinearLoop) -> Array:
-    """A of the closed loop without integrals that nothing depends on."""
-    system, law_states = loop.closed, set(loop.law.state_labels)
-    kept = list(range(system.nstates))
-    for i, name in enumerate(system.state_labels):
-        if name in law_states and not np.any(np.delete(system.A[:, i], i)) and not np.any(system.C[:, i]):
-            kept.remove(i)
-    return np.asarray(system.A[np.ix_(kept, kept)])
-
-
-def _rank(matrix: Array) -> int:
-    """Rank after balancing, so that states of small and large numbers count alike."""
-    from scipy.linalg import matrix_balance
-
-    balanced, _ = matrix_balance(matrix)
-    singular = np.linalg.svd(balanced, compute_uv=False)
-    return int(np.sum(singular > 1e-9 * singular[0]))
 
 
 def _with_offset(found: FullLoop, loop: LinearLoop) -> FullLoop:

@@ -91,7 +91,17 @@ def sign_sets(plant: Plant) -> list[SignSet]:
     at_rest = _at_rest(plant)
     found = [_sign_set(plant, signs, *at_rest) for signs in cases]
     for sign_set in found:
-        _check(sign_set, plant)
+        of = f" ({sign_set.name})" if sign_set.name else ""
+        dofs = plant.vehicle.degrees_of_freedom
+        if not np.isfinite(sign_set.damping).all():
+            raise UndertowError(f"damping at rest{of} is not finite: conditions need it; check [effects]")
+        values, vectors = np.linalg.eigh(sign_set.inertia)
+        if values[0] <= 1e-12 * max(values[-1], 1e-300):
+            worst = dofs[int(np.argmax(np.abs(vectors[:, 0])))]
+            raise UndertowError(
+                f"the mass matrix of '{plant.vehicle.name}'{of} is singular or not positive definite, about "
+                f"{worst}: give {worst} inertia in [effects.rigid_body] or leave it out"
+            )
     return found
 
 
@@ -135,20 +145,6 @@ def _name(signs: Mapping[sm.Symbol, int]) -> str:
     return {1: "forward", -1: "backward"}.get(next(iter(distinct), 0), "")
 
 
-def _check(signs: SignSet, plant: Plant) -> None:
-    of = f" ({signs.name})" if signs.name else ""
-    dofs = plant.vehicle.degrees_of_freedom
-    if not np.isfinite(signs.damping).all():
-        raise UndertowError(f"damping at rest{of} is not finite: conditions need it; check [effects]")
-    values, vectors = np.linalg.eigh(signs.inertia)
-    if values[0] <= 1e-12 * max(values[-1], 1e-300):
-        worst = dofs[int(np.argmax(np.abs(vectors[:, 0])))]
-        raise UndertowError(
-            f"the mass matrix of '{plant.vehicle.name}'{of} is singular or not positive definite, about "
-            f"{worst}: give {worst} inertia in [effects.rigid_body] or leave it out"
-        )
-
-
 def _hull(sets: Sequence[SignSet]) -> SignSet:
     """Every inertia and damping between those of some sets, entry by entry, with the values of the file."""
     fixed = np.zeros((0, *sets[0].inertia.shape))
@@ -172,7 +168,6 @@ Span = tuple[float, float]
 ParameterBox = Mapping[sm.Symbol, Span]
 """Intervals of parameters, SI and SNAME signs."""
 EXACT_PARAMETERS: ParameterBox = {}
-
 
 Margins = Callable[[Array], Array]
 """Margins of many values at once: of one positive number, or of parameters, which they are concave in."""
@@ -663,13 +658,14 @@ class Uncertainty:
             return RobustVerdict(ALL if proved else OPEN, least, {})
         if nominal is not None and nominal <= 0:
             return RobustVerdict(NOMINAL, least, {})
-        return RobustVerdict(SOME, least, self._in_file_signs(points[worst], signs))
-
-    def _in_file_signs(self, theta: Array, signs: SignSet) -> dict[str, float]:
-        """The parameters that differ from the file's, as the file would write them."""
-        vehicle, triples = self.vehicle, zip(signs.names, theta, signs.theta, strict=True)
+        # The parameters that differ from the file's, as the file would write them.
+        vehicle, triples = self.vehicle, zip(signs.names, points[worst], signs.theta, strict=True)
         changed = {n: v for n, v, own in triples if abs(v - own) > 1e-9 * max(abs(own), 1e-9)}
-        return {n: printed(vehicle.declaration(n), float(v), vehicle.signs) for n, v in changed.items()}
+        return RobustVerdict(
+            SOME,
+            least,
+            {n: printed(vehicle.declaration(n), float(v), vehicle.signs) for n, v in changed.items()},
+        )
 
 
 def _polytope(size: int) -> tuple[Array | None, Array]:

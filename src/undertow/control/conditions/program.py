@@ -17,7 +17,7 @@ from .attitude import Interval, enclose
 from .commands import Commands
 from .definite import LMI, coupled_states, lyapunov_operator, quadratic_values, solve_sdp
 from .definite import SETTINGS as PROOFS
-from .embedding import Boxes, Corners, Embedding
+from .embedding import Corners, Embedding
 from .problem import Problem
 
 
@@ -78,7 +78,6 @@ class QuadraticSettings:
 
 
 SETTINGS = QuadraticSettings()
-
 
 Key = tuple[int, int, tuple[int, ...]]
 """A corner: its attitude, its case of the signs, and the end of each velocity and uncertain parameter."""
@@ -141,28 +140,16 @@ class Program:
 
     def __init__(self, search: SearchContext, bounds: SpeedBox) -> None:
         self.search, self.bounds, self.loop = search, bounds, search.loop
+        self.commands = search.commands  # those with limits
+        # P has a block for each axis: V is the same with the signs of an axis turned round.
+        self._blockwise = search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
         self.corners: Corners = self.loop.corners(bounds.speeds)
-        self.samples = self._samples()
-        self.scale = self._scaling()
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Roll and pitch, and headings near those of the set-point."""
-        found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
-        if "psi" in found:
-            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
-            found["psi"] = (self.search.heading_centre - half, self.search.heading_centre + half)
-        return found
-
-    def _samples(self) -> Boxes:
-        """Attitudes in the program: the middle and the ends of each angle, more where angles are few."""
+        # Attitudes in the program: the middle and the ends of each angle, more where angles are few.
         count = SETTINGS.attitudes[len(self.loop.angles)]
         ends = [np.linspace(*self.ranges[a], count) for a in self.loop.angles]
         rows = np.array(list(product(*ends)))
-        return {a: enclose(rows[:, i]) for i, a in enumerate(self.loop.angles)}
-
-    def _scaling(self) -> Array:
-        """Sizes of the states: errors of the start, speeds of the box, integrals by what they hold."""
+        self.samples = {a: enclose(rows[:, i]) for i, a in enumerate(self.loop.angles)}
+        # Sizes of the states: errors of the start, speeds of the box, integrals by what they hold.
         s, n = self.search, self.loop.n
         error = s.with_floor(s.start)
         speed = self.bounds.speeds.copy()
@@ -173,7 +160,18 @@ class Program:
             K_P, K_I = (s.problem.values[g] for g in ("K_P", "K_I"))
             parts.insert(0, error * np.maximum(K_P, 1e-12) / np.maximum(K_I, 1e-9 * np.maximum(K_P, 1e-12)))
         # Powers of two scale without rounding.
-        return np.asarray(2.0 ** np.round(np.log2(np.concatenate(parts)))).reshape(-1)[: self.loop.size + n]
+        self.scale = np.asarray(2.0 ** np.round(np.log2(np.concatenate(parts)))).reshape(-1)[
+            : self.loop.size + n
+        ]
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Roll and pitch, and headings near those of the set-point."""
+        found = {a: (-t, t) for a, t in self.bounds.tilts.items()}
+        if "psi" in found:
+            half = self.bounds.tilts["psi"] + 0.5 * np.pi / SETTINGS.sectors * (1 + PROOFS.room)
+            found["psi"] = (self.search.heading_centre - half, self.search.heading_centre + half)
+        return found
 
     def scaled(self, A: Interval) -> Interval:
         """A of z_dot = A z for scaled states."""
@@ -181,11 +179,6 @@ class Program:
         return Interval(A.lo * ratio, A.hi * ratio)
 
     # --- the program ----------------------------------------------------------------------------
-    @property
-    def _blockwise(self) -> bool:
-        """Whether P has a block for each axis: V is the same with the signs of an axis turned round."""
-        return self.search.problem.decoupled or self.loop.n > SETTINGS.max_full_dofs
-
     @cached_property
     def basis(self) -> Array:
         """Symmetric matrices that P is a sum of: blocks of the axes if many or uncoupled, (k, size, size)."""
@@ -437,11 +430,6 @@ class Program:
             return np.zeros((0, 0, self.loop.size))
         return np.asarray(self.loop.commands_of(self.commands, self.samples).middle * self.scale)
 
-    @property
-    def commands(self) -> Commands:
-        """The commands with limits."""
-        return self.search.commands
-
     @cached_property
     def spare_thrust(self) -> Array:
         """What the limits leave beside the weight, within the tilts."""
@@ -488,18 +476,14 @@ class Program:
         box = self.required_box(found, SETTINGS.slack)
         tilts = {a: min(t, box.tilts[a]) for a, t in self.bounds.tilts.items()}
         other = Program(self.search, SpeedBox(np.minimum(box.speeds, self.bounds.speeds), tilts))
-        return other, self._scaled_to(other, found)
-
-    def _scaled_to(self, other: Program, proposal: Proposal) -> Proposal:
-        """As much of a form as the start needs, in the states of another program."""
-        level = proposal.start * (1 + SETTINGS.slack)
+        level = found.start * (1 + SETTINGS.slack)
         ratio = other.scale / self.scale
         both = np.outer(ratio, ratio)
-        free = proposal.free * ratio[-self.loop.n :, None, None] * both / level
+        free = found.free * ratio[-self.loop.n :, None, None] * both / level
         errors = ratio[self.loop.size - 2 * self.loop.n : -self.loop.n]
-        levels = proposal.levels * errors[[g[0] for g in self.loop.groups]] ** 2 / level
-        P, start = proposal.P * both / level, proposal.start / level
-        return proposal._replace(P=P, free=free, levels=levels, start=start)
+        levels = found.levels * errors[[g[0] for g in self.loop.groups]] ** 2 / level
+        P, start = found.P * both / level, found.start / level
+        return other, found._replace(P=P, free=free, levels=levels, start=start)
 
 
 def _worst_vertices(at_rest: Array, added: Sequence[Array], x: Array) -> tuple[Array, Array]:

@@ -59,21 +59,20 @@ class _LevelModel:
         Where the level is not convex, tangents from elsewhere cut away what is better: then only those at
         the best speeds count.
         """
+        from scipy.optimize import linprog
+
         for steps in (self._steps, [pair for pair in self._steps if pair[0] is best]):
-            change, level = _model_minimum(np.array([row for _, row in steps]), best, radius)
+            rows = np.array([row for _, row in steps])
+            place, n = np.log(best.bounds.speeds), len(best.bounds.speeds)
+            left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
+            cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
+            found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
+            change, level = (
+                (np.asarray(found.x[:n]), float(found.x[n])) if found.success else (np.zeros(n), np.inf)
+            )
             if level <= np.log(best.start) - SETTINGS.least_decrease:
                 return change
         return None
-
-
-def _model_minimum(rows: Array, best: _Step, radius: float) -> tuple[Array, float]:
-    from scipy.optimize import linprog
-
-    place, n = np.log(best.bounds.speeds), len(best.bounds.speeds)
-    left = np.column_stack([rows[:, :n], -np.ones(len(rows))])
-    cost, limits = np.append(np.zeros(n), 1.0), [(-radius, radius)] * n + [(None, None)]
-    found = linprog(cost, left, -(rows[:, n] + rows[:, :n] @ place), bounds=limits)
-    return (np.asarray(found.x[:n]), float(found.x[n])) if found.success else (np.zeros(n), np.inf)
 
 
 class QuadraticSearch:
@@ -90,14 +89,10 @@ class QuadraticSearch:
         self.budget = MatrixBudget(0)  # what is left for proofs
         self.active_corners: set[Key] = set()  # corners that the programs so far were about
         self.heading_centre = 0.0  # heading in the middle of those of the set-point, rad
-        self.start = self._in_mixed_frame(np.array([start.get(c, 0.0) for c in problem.coordinates]))
-
-    def _in_mixed_frame(self, start: Array) -> Array:
-        """The box with the radius of its corners in coordinates that the frame mixes."""
-        found = start.copy()
+        # The box with the radius of its corners in coordinates that the frame mixes.
+        self.start = np.array([start.get(c, 0.0) for c in problem.coordinates])
         for group in self.loop.groups:
-            found[group] = np.sqrt(np.sum(start[group] ** 2)) * (1 + 1e-12)
-        return found
+            self.start[group] = np.sqrt(np.sum(self.start[group] ** 2)) * (1 + 1e-12)
 
     @property
     def _start_tilts(self) -> dict[str, float]:
@@ -262,10 +257,11 @@ class Proof:
     def __init__(self, program: Program, proposal: Proposal, most: int) -> None:
         self.program, self.loop, self.proposal = program, program.loop, proposal
         self.P = 0.5 * (proposal.P + proposal.P.T)
-        # Forms that vanish exactly are within this.
+        # Forms that vanish, by velocity: exactly they are within this.
         around = PROOFS.sum_rounding * np.abs(proposal.free)
-        self.free = Interval(proposal.free - around, proposal.free + around)
+        self.free = [Interval(N - e, N + e) for N, e in zip(proposal.free, around, strict=True)]
         self.scale, self.corners = program.scale, program.corners
+        self._scale_ratio = self.scale[:, None] / self.scale
         self._max_matrices, self._budget = most, MatrixBudget(most)
 
     @property
@@ -275,17 +271,28 @@ class Proof:
 
     def result(self) -> Quadratic | None:
         """The V, or None where something of it is not proved."""
-        if not (proved_positive_definite(enclose(self.P[None])) and self._fixed_rows_proved()):
+        if not (
+            proved_positive_definite(enclose(self.P[None]))
+            and all(
+                bounded(self.P, enclose(row[None, None]), np.array([b])).all()
+                for row, b in self.program.fixed_rows()
+            )
+        ):
             return None
         weights, start = self._start_weights()
         if not start < 1 or not (self._everywhere(self._within_bounds) and self._everywhere(self._decreases)):
             return None
-        return self._as_quadratic(weights, start)
-
-    def _fixed_rows_proved(self) -> bool:
-        return all(
-            bounded(self.P, enclose(row[None, None]), np.array([b])).all()
-            for row, b in self.program.fixed_rows()
+        program, n, size = self.program, self.loop.n, self.loop.size
+        inverse = 1 / self.scale
+        own = weights * inverse[size - 2 * n : size - n] ** 2
+        return Quadratic(
+            P=(self.P * np.outer(inverse, inverse))[None],
+            frame=self.loop.frame_name,
+            errors=program.reach(self.proposal),
+            speeds=program.bounds.speeds,
+            starts=1 / np.sqrt(own),
+            commands=program.commands.limits - program.spare_thrust + self._command_changes,
+            start=start,
         )
 
     def _start_weights(self) -> tuple[Array, float]:
@@ -370,7 +377,7 @@ class Proof:
             share = 1.001 * (side.hi - side.lo)[:, None, None] ** 2 / 8
             own += share * self.loop.curvature(self.corners, boxes, angle) * self.scale / self.scale[:, None]
             turn = self.loop.body_jet(boxes, angle) * self._scale_ratio
-            for N, value in zip(self._identity_forms, self.program.values, strict=True):
+            for N, value in zip(self.free, self.program.values, strict=True):
                 free += share * np.abs(value).max() * (turn @ N @ turn.T).curvature.magnitude[:, 0]
         return (_plus_transpose(self.P @ plus_minus(own)) + plus_minus(free))[:, None]
 
@@ -378,38 +385,14 @@ class Proof:
         """What each velocity and parameter adds to the fall of V, (attitudes, cases, ends, size, size)."""
         turn = self.loop.body(at) * self._scale_ratio
         added = self.loop.added(self.corners, at)
-        for end, N, value in zip(added, self._identity_forms, self.program.values, strict=False):
+        for end, N, value in zip(added, self.free, self.program.values, strict=False):
             turned = turn @ N @ turn.T
             every = turned[:, :, None] * value[..., None, None]
             yield -(_plus_transpose(self.P @ self.program.scaled(end)) + every)
         yield from (-_plus_transpose(self.P @ self.program.scaled(end)) for end in added[self.loop.n :])
 
-    @property
-    def _identity_forms(self) -> list[Interval]:
-        """The forms that vanish, by velocity."""
-        return [self.free[i] for i in range(len(self.free))]
-
-    @property
-    def _scale_ratio(self) -> Array:
-        return np.asarray(self.scale[:, None] / self.scale)
-
     def _scaled(self, rows: Interval) -> Interval:
         return Interval(rows.lo * self.scale, rows.hi * self.scale)
-
-    def _as_quadratic(self, weights: Array, start: float) -> Quadratic:
-        """The proof's result in the units of the states."""
-        program, n, size = self.program, self.loop.n, self.loop.size
-        inverse = 1 / self.scale
-        own = weights * inverse[size - 2 * n : size - n] ** 2
-        return Quadratic(
-            P=(self.P * np.outer(inverse, inverse))[None],
-            frame=self.loop.frame_name,
-            errors=program.reach(self.proposal),
-            speeds=program.bounds.speeds,
-            starts=1 / np.sqrt(own),
-            commands=program.commands.limits - program.spare_thrust + self._command_changes,
-            start=start,
-        )
 
 
 def _plus_transpose(held: Interval) -> Interval:

@@ -36,15 +36,9 @@ _NO_THRUST = "commands are not proved to stay within their limits for any error"
 def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = None) -> Region:
     """The largest region that is certified for a law, every axis pushed.
 
-    Parameters
-    ----------
-    problem : Problem
-        Law, gains and vehicle.
-    holds : bool
-        Whether the conditions derived from the model hold. Where they do not, a quadratic V is searched for.
-    start : mapping, optional
-        Largest errors to begin with, m and rad: a box, at rest with integrals at zero, that the region has to
-        hold. Without it the largest of some usual boxes is taken.
+    `holds` says whether the conditions derived from the model hold: where they do not, a quadratic V is
+    searched for. `start` are the largest errors to begin with, m and rad, at rest with integrals at zero: a
+    box that the region has to hold. Without it the largest of some usual boxes is taken.
     """
     try:
         found = _region(problem, holds, start)
@@ -52,19 +46,15 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         found = _no_region(str(error))
     except np.linalg.LinAlgError:
         found = _no_region("V is not positive at every attitude by more than rounding")
-    found = replace(found, parameters=_intervals(problem))
+    vehicle, parameters = problem.plant.vehicle, dict[str, Span]()
+    for symbol, ends in problem.parameter_box.items():
+        declared = vehicle.declaration(str(symbol))
+        low, high = sorted(printed(declared, e, vehicle.signs) for e in ends)
+        parameters[str(symbol)] = low, high
+    found = replace(found, parameters=parameters)
     if start is None:
         return found
     return replace(found, start=dict(start), contains_start=_contains(problem, found, start))
-
-
-def _intervals(problem: Problem) -> dict[str, Span]:
-    """The parameters that are uncertain, in the signs of the vehicle file."""
-    vehicle, found = problem.plant.vehicle, {}
-    for name, ends in ((str(s), ends) for s, ends in problem.parameter_box.items()):
-        low, high = sorted(printed(vehicle.declaration(name), e, vehicle.signs) for e in ends)
-        found[name] = low, high
-    return found
 
 
 def _parameters(problem: Problem) -> str:
@@ -109,7 +99,10 @@ def _setpoint_fault(commands: Commands) -> str:
 def _pd(commands: Commands) -> Region:
     """V = nu' M nu/2 + e' K_P e/2 never rises while angles are in range and damping outweighs its losses."""
     problem = commands.problem
-    upper = _tilt_level(problem)
+    # The level of V that keeps roll and pitch within what conditions hold for.
+    angles = set(problem.attitudes.angles(False)) - {"psi"}
+    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
+    upper = min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
     falling = _largest_level(_damping_stays_positive(problem), upper)
     if falling == 0.0:
         return _no_region("damping at speed is not proved to be positive at any speed")
@@ -131,13 +124,6 @@ def _pd(commands: Commands) -> Region:
 def _pd_speeds(problem: Problem, level: float) -> Array:
     inverse = np.max([np.diag(np.linalg.inv(m)) for m in inertias(problem.sets)], axis=0)
     return np.asarray(np.sqrt(2 * level * inverse))
-
-
-def _tilt_level(problem: Problem) -> float:
-    """The level of V that keeps roll and pitch within what conditions hold for."""
-    angles = set(problem.attitudes.angles(False)) - {"psi"}
-    pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
-    return min((0.5 * k * problem.attitudes.tilt**2 for c, k in pairs if c in angles), default=np.inf)
 
 
 def _pd_bounds(commands: Commands, level: float) -> Array:
@@ -288,7 +274,11 @@ def _of_transient(problem: Problem, box: Mapping[str, float], found: Transient) 
 
 def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     commands = Commands(problem)
-    if _scale_invariant(problem) and not len(commands.limits):
+    # Where the loop is the same at any size of motion, what falls in a small box falls everywhere.
+    plant = problem.plant
+    signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
+    varying = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
+    if not any(varying) and not set(problem.coordinates) & set(ANGLES) and not len(commands.limits):
         return Region(
             "everywhere",
             "everywhere: inertia and damping do not depend on speed or attitude; V is proved to fall, "
@@ -311,14 +301,6 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         quadratic=found,
     )
     return region
-
-
-def _scale_invariant(problem: Problem) -> bool:
-    """Whether the loop is the same at any size of motion: what falls in a small box falls everywhere."""
-    plant = problem.plant
-    signs = {sm.sign(v): sm.Integer(1) for v in plant.nu}
-    varying = [m.xreplace(signs).free_symbols & set(plant.nu) for m in (plant.M, plant.C, plant.D)]
-    return not any(varying) and not set(problem.coordinates) & set(ANGLES)
 
 
 def _gate_note(problem: Problem) -> str:

@@ -193,11 +193,6 @@ def repair(problem: Problem, kind: str) -> Repair:
     return Repair(kind, KINDS[kind].method, {}, {}, None, False)
 
 
-def six_digits(value: float) -> float:
-    """A number as it is printed."""
-    return float(f"{value:.6g}")
-
-
 def _with_slack(kind: str, variables: _Variables, slack: float) -> Repair:
     size, conditions = variables.size, KINDS[kind].conditions
     if kind == "routh":
@@ -212,7 +207,7 @@ def _holds_as_printed(problem: Problem, found: Repair) -> bool:
     values = {name: v.copy() for name, v in problem.values.items()}
     for name, new_values in found.gains.items():
         for coordinate, value in new_values.items():
-            values[name][problem.coordinates.index(coordinate)] = six_digits(value)
+            values[name][problem.coordinates.index(coordinate)] = float(f"{value:.6g}")
     repaired, conditions = problem.with_gains(values), KINDS[found.kind].conditions
     if found.iota is not None:
         return repaired.iota_interval(conditions, repaired.relevant_sets) is not None
@@ -229,7 +224,11 @@ class _Variables:
 
     def __init__(self, problem: Problem, names: tuple[str, ...]) -> None:
         self.problem, self.names = problem, names
-        self.groups = _groups(problem)
+        # Translations whose gains are alike go together where the heading turns one into the other.
+        shared = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.equal_gains(tuple(c))), ())
+        group = [problem.coordinates.index(c) for c in shared] if "psi" in problem.coordinates else []
+        singles = [[i] for i in range(problem.size) if i not in group]
+        self.groups = [group, *singles] if group else singles
         self.size = len(self.names) * len(self.groups)
 
     def index(self, name: str, i: int) -> int:
@@ -262,14 +261,6 @@ class _Variables:
             for i in range(self.problem.size):
                 found[self.index(name, i)][name][i] = self.problem.values[name][i]
         return found
-
-
-def _groups(problem: Problem) -> list[list[int]]:
-    """Translations whose gains are alike go together where the heading turns one into the other."""
-    shared = next((c for c in (("x", "y", "z"), ("x", "y")) if problem.equal_gains(tuple(c))), ())
-    group = [problem.coordinates.index(c) for c in shared] if "psi" in problem.coordinates else []
-    singles = [[i] for i in range(problem.size) if i not in group]
-    return [group, *singles] if group else singles
 
 
 def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Array | None]:

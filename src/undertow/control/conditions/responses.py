@@ -40,13 +40,7 @@ class Modes(NamedTuple):
 
 
 def modes(A: Interval) -> Modes:
-    """The modes of a loop, with a bound on what they miss of it.
-
-    Raises
-    ------
-    UndertowError
-        If the loop is not stable, or its modes are too close to one another.
-    """
+    """The modes of a loop that is stable, with a bound on what they miss of it."""
     values, vectors = np.linalg.eig(A.middle)
     columns: list[Array] = []
     block_starts, rates = [], []
@@ -59,7 +53,14 @@ def modes(A: Interval) -> Modes:
     if min(r.real for r in rates) <= 0:
         raise UndertowError("the loop at rest is not stable at every attitude")
     T = enclose(np.array(columns).T)
-    inverse = _inverse(T)
+    # The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one.
+    near = np.linalg.inv(T.lo)
+    n = len(near)
+    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
+    if not left < 0.5:
+        raise UndertowError("modes of the loop are too close to one another for bounds in time")
+    radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
+    inverse = Interval(near - radius, near + radius)
     block = np.zeros(A.lo.shape)
     for row, rate in zip(block_starts, rates, strict=True):
         s, w = rate.real, -rate.imag
@@ -67,17 +68,6 @@ def modes(A: Interval) -> Modes:
         block[row : row + size, row : row + size] = [[-s, w], [-w, -s]] if w else -s
     residual = (A - T @ enclose(block) @ inverse).magnitude
     return Modes(T, inverse, np.array(block_starts), np.array(rates), residual)
-
-
-def _inverse(T: Interval) -> Interval:
-    """The inverse of a matrix of numbers, enclosed: its columns are scaled to norm one."""
-    near = np.linalg.inv(T.lo)
-    n = len(near)
-    left = (enclose(np.eye(n)) - near @ T).magnitude.sum(axis=-1).max() * (1 + PROOFS.room)
-    if not left < 0.5:
-        raise UndertowError("modes of the loop are too close to one another for bounds in time")
-    radius = np.broadcast_to(2 * left * np.abs(near).max(axis=0), near.shape)
-    return Interval(near - radius, near + radius)
 
 
 class Kernels(NamedTuple):
@@ -115,10 +105,6 @@ class Responses:
         self.radius = cosine.radius + sine.radius + PROOFS.level * self.magnitude
 
     @property
-    def _exponents(self) -> Array:
-        return np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag)
-
-    @property
     def envelope(self) -> Array:
         """Bound on each response at any time, times the decay of the slowest mode, (signals, states)."""
         return np.asarray(self.magnitude.sum(axis=0))
@@ -138,7 +124,9 @@ class Responses:
         amplitudes = Amplitudes(
             *(m[:, signals, states].T for m in (self.amplitude, self.magnitude, self.radius))
         )
-        return bounds_within(amplitudes, self._exponents, self.times)
+        return bounds_within(
+            amplitudes, np.asarray(-self.modes.rates.real - 1j * self.modes.rates.imag), self.times
+        )
 
 
 class Amplitudes(NamedTuple):

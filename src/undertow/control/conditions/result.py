@@ -45,9 +45,7 @@ class CertificateSettings:
     # How much faster a law that jumps leaves the layer that stands for the jump than its surface leads to the
     # set-point.
     layer_speed: float = 20.0
-    simulated_starts: int = (
-        8  # how many starts are simulated where effects or axes are outside the certificate
-    )
+    simulated_starts: int = 8  # that are simulated where effects or axes are outside the certificate
     time_constants: float = 20.0  # length of these simulations in slowest time constants
     # Its limits, s: what takes longer than a quarter of an hour is judged by that.
     durations: tuple[float, float] = (30.0, 900.0)

@@ -38,7 +38,7 @@ from .attitude import (
     margin_bound_over_cases,
     transposed,
 )
-from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE, Condition
+from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE
 from .commands import numeric_matrix, sizes_and_signs, terms_of
 from .problem import Problem, Span, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
@@ -99,19 +99,7 @@ class MissionReport:
 def check_mission(gains: GainSet, mission: Mission, tilt: float = np.pi / 3) -> MissionReport:
     """Check the conditions for the tracking error of a mission, without simulating it.
 
-    Parameters
-    ----------
-    gains : GainSet
-        Law, numbers and vehicle.
-    mission : Mission
-        What is followed.
-    tilt : float
-        Largest roll and pitch that conditions on a reference cover, rad.
-
-    Raises
-    ------
-    UndertowError
-        If the vehicle cannot follow the mission.
+    `tilt` is the largest roll and pitch that conditions on a reference cover, rad.
     """
     reference = mission.reference(gains)
     Controller(gains, reference)  # refuses what cannot run, whatever the conditions say
@@ -151,32 +139,26 @@ def _law_rows(gains: GainSet, mission: Mission, tilt: float) -> Iterator[Mission
     derived = [c for c in CONDITIONS[gains.law.id] if c.form == "derived" and not c.uses and not c.uses_iota]
     about = f"{_SLIDING_ABOUT if gains.law.id not in ('pd', 'pid') else ''} {_ASSUMPTION}".strip()
     for condition in derived:
-        yield _plain_row(problem, condition, f"{condition.about} {about}")
+        margin = problem.margin(condition, problem.sets[0], None)
+        yield _row(
+            condition.id, condition.matrices, f"{condition.about} {about}", margin, margin > 0, "gains alone"
+        )
     # S' S/2 of sliding modes does not contain M.
     if gains.law.id in ("pd", "pid") and any(v in gains.plant.M.free_symbols for v in gains.plant.reversing):
-        yield _reversing_row(gains)
+        names = ", ".join(map(str, gains.plant.reversing))
+        yield MissionRow(
+            "M",
+            "M does not change along the motion",
+            "V is continuous only while M keeps one set of parameters.",
+            _SOURCE,
+            0.0,
+            UNPROVED,
+            f"M changes with the sign of {names}: V may jump where it does",
+        )
     if gains.law.id == "pd":
         yield _pd_row(problem, mission)
     if gains.law.id == "pid":
         yield from _pid_rows(problem, mission)
-
-
-def _plain_row(problem: Problem, condition: Condition, about: str) -> MissionRow:
-    margin = problem.margin(condition, problem.sets[0], None)
-    return _row(condition.id, condition.matrices, about, margin, margin > 0, "gains alone")
-
-
-def _reversing_row(gains: GainSet) -> MissionRow:
-    names = ", ".join(map(str, gains.plant.reversing))
-    return MissionRow(
-        "M",
-        "M does not change along the motion",
-        "V is continuous only while M keeps one set of parameters.",
-        _SOURCE,
-        0.0,
-        UNPROVED,
-        f"M changes with the sign of {names}: V may jump where it does",
-    )
 
 
 def _row(
@@ -196,7 +178,14 @@ def speeds(problem: Problem, mission: Mission) -> Array:
 def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     most = speeds(problem, mission)
     matrices, affine = damping_corners(problem, most)
-    sets = [problem.with_damping(d) for d in _minimal_dampings(matrices)]
+    # Those whose symmetric part is not above that of another one: the others decide nothing for PD.
+    symmetric = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
+    symmetric = np.unique(symmetric.round(12), axis=0)
+    kept: list[Array] = []
+    for matrix in sorted(symmetric, key=lambda m: float(np.trace(m))):
+        if all(np.linalg.eigvalsh(matrix - other)[0] < -1e-12 for other in kept):
+            kept.append(matrix)
+    sets = [problem.with_damping(d) for d in np.array(kept)]
 
     def margins(inverse: Any) -> Array:
         found = [DERIVED_PD_DAMPER.margin(problem.quantities(sign_set, inverse, None)) for sign_set in sets]
@@ -359,17 +348,6 @@ def damping_corners(problem: Problem, most: Array) -> tuple[Array, bool]:
     return np.unique(D, axis=0), affine
 
 
-def _minimal_dampings(matrices: Array) -> Array:
-    """Those whose symmetric part is not above that of another one: the others decide nothing for PD."""
-    symmetric = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
-    symmetric = np.unique(symmetric.round(12), axis=0)
-    kept: list[Array] = []
-    for matrix in sorted(symmetric, key=lambda m: float(np.trace(m))):
-        if all(np.linalg.eigvalsh(matrix - other)[0] < -1e-12 for other in kept):
-            kept.append(matrix)
-    return np.array(kept)
-
-
 def _velocity_range(problem: Problem, most: Array) -> str:
     pairs = zip(problem.plant.nu, most, strict=True)
     return "velocities up to " + ", ".join(f"|{v}| = {m:.3g}" for v, m in pairs)
@@ -447,7 +425,15 @@ def _leg_rows(gains: GainSet, mission: Mission, reference: LineOfSight) -> Itera
         speed - current, True, f"{speed:.4g} m/s against {current:.4g} m/s", "kinematics",
     )  # fmt: skip
     if gains.law.id in DISCONTINUOUS:
-        yield _discontinuous_row(gains)
+        yield MissionRow(
+            "line of sight",
+            "all poles along the path decay",
+            "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
+            "linearisation",
+            0.0,
+            UNPROVED,
+            f"law '{gains.law.id}' is discontinuous: simulate it, or use 'sliding-mode-boundary-layer'",
+        )
         return
     vehicle = Overrides(current=mission.current).in_current(gains.plant.vehicle)
     directions, name = np.diff(mission.points, axis=0), "leg"
@@ -471,18 +457,6 @@ def _curvature_row(reference: SplineOfSight) -> MissionRow:
         reference.limits.turn_rate - yaw_rate, True, f"{yaw_rate:.4g} rad/s at the sharpest bend",
         "kinematics",
     )  # fmt: skip
-
-
-def _discontinuous_row(gains: GainSet) -> MissionRow:
-    return MissionRow(
-        "line of sight",
-        "all poles along the path decay",
-        "A discontinuous law has no linearisation on its surface, and sampled no steady motion either.",
-        "linearisation",
-        0.0,
-        UNPROVED,
-        f"law '{gains.law.id}' is discontinuous: simulate it, or use 'sliding-mode-boundary-layer'",
-    )
 
 
 def _leg_row(

@@ -372,9 +372,7 @@ class Tubes:
         """
         later, rises, falls = self._up_to(i + 1), self.rises[:i], self.falls[:i]
         own = np.einsum("ihp,ihp->hp", later[:i], rises) - np.einsum("ihp,ihp->hp", self.earlier[:i], falls)
-        rounding = (
-            len(self.kernels.times) * np.finfo(float).eps
-        )  # of integrals, which are sums over the pieces
+        rounding = len(self.kernels.times) * np.finfo(float).eps  # of integrals: sums over the pieces
         own += rounding * self.kernels.integral[-1] * (rises.sum(axis=0) + falls.sum(axis=0))
         rest = _matvec(self.tail, self.lag)
         np.add.at(rest.T, self.signals, np.maximum(own, 0.0).T)
@@ -402,13 +400,7 @@ class Tubes:
 
 
 def bounds_in_time(problem: Problem, start: Mapping[str, float]) -> Transient | None:
-    """Bounds on every motion from rest in a box of errors, at any heading of the set-point; None if none.
-
-    Raises
-    ------
-    UndertowError
-        If the model has no form that the method covers, or a thruster is not proved to suffice.
-    """
+    """Bounds on every motion from rest in a box of errors, at any heading of the set-point; None if none."""
     if problem.gains.schedule.order == "yaw-first":
         return None  # its gate opens in motion, and bounds are for motions from rest
     search = TubeSearch(PoseLoop(problem), np.array([start.get(c, 0.0) for c in problem.coordinates]))
@@ -472,7 +464,15 @@ class TubeSearch:
 
     def __init__(self, motion: PoseLoop, box: Array) -> None:
         self.motion, self.starts = motion, StartBox(box, motion.plane)
-        self.caps = _caps(motion, box)
+        # Caps on the angles, from small to large.
+        most = [
+            SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles
+        ]
+        own = box[motion.angle_indices]
+        own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
+        self.caps = np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(
+            len(SETTINGS.caps), -1
+        )
         self.slopes = motion.derivatives(self.caps)
 
     def cover(
@@ -504,14 +504,6 @@ class TubeSearch:
             held = held & _within_limits(self.motion, largest, held, refuse=ratio == KERNELS.ratios[-1])
             found += _as_transients(tubes, B, largest, held)
         return [r for r, there in zip(ranges, held, strict=True) if not there]
-
-
-def _caps(motion: PoseLoop, box: Array) -> Array:
-    """Caps on the angles, from small to large."""
-    most = [SETTINGS.largest_heading if a == "psi" else motion.problem.attitudes.tilt for a in motion.angles]
-    own = box[motion.angle_indices]
-    own = np.maximum(own, max(SETTINGS.least_share * own.max(initial=0.0), SETTINGS.least_angle))
-    return np.array([np.minimum(c * own, most) for c in SETTINGS.caps]).reshape(len(SETTINGS.caps), -1)
 
 
 def _within_limits(motion: PoseLoop, largest: Array, held: Flags, *, refuse: bool) -> Flags:

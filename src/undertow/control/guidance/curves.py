@@ -51,7 +51,14 @@ class SplineOfSight(LineOfSight):
     @cached_property
     def curve(self) -> CubicSpline:
         """The path, by nearly its arc length."""
-        return _curve(self.points)
+        # A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly.
+        lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        for _ in range(SETTINGS.rounds):
+            knots = np.concatenate([[0.0], np.cumsum(lengths)])
+            curve = CubicSpline(knots, self.points, bc_type="natural")
+            inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.samples_per_piece)
+            lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
+        return curve
 
     @property
     def knots(self) -> np.ndarray:
@@ -123,8 +130,19 @@ class SplineOfSight(LineOfSight):
 
     def _leg(self, r: ca.SX, s: ca.SX, kin: Kinematics) -> Leg:
         place = ca.vertcat(*[kin.eta[kin.index(c)] if c in kin.names else ca.SX(0) for c in "xyz"])
-        return _relative_to_tangent(
-            self._foot(r, s, place), place, self._path_point(r, r[len(self.points) - 1])[0]
+        # Position relative to the tangent at the foot; `along` and `length` are those of the path.
+        w, end, (point, slope, second) = self._foot(r, s, place)
+        north, east, down = ca.vertsplit(slope)
+        flat = ca.sqrt(north**2 + east**2)
+        course, incline = ca.atan2(east, north), -ca.atan2(down, flat)
+        x, y, z = ca.vertsplit(place - point)
+        cross = (north * y - east * x) / flat
+        curvature = (north * second[1] - east * second[0]) / flat**3
+        d_horizontal = (north * second[0] + east * second[1]) / flat
+        incline_rate = (down * d_horizontal - second[2] * flat) / (flat**2 + down**2) / flat
+        to_end = ca.norm_2(place - self._path_point(r, r[len(self.points) - 1])[0])
+        return Leg(
+            course, incline, w, end, cross, z * ca.cos(incline), to_end, point[2], curvature, incline_rate
         )
 
     def _progress(self, r: ca.SX, s: ca.SX, kin: Kinematics, leg: Leg) -> tuple[dict[str, ca.SX], ca.SX]:
@@ -163,31 +181,3 @@ class SplineOfSight(LineOfSight):
         leg = self._leg(ca.DM([n.value for n in self.numbers]), w, kin)
         found = ca.Function("passed", [eta, w], [ca.vertcat(*leg)])(np.array(places), named["path"][None])
         return Leg(*np.asarray(found))
-
-
-def _relative_to_tangent(
-    foot: tuple[ca.SX, ca.SX, tuple[ca.SX, ca.SX, ca.SX]], place: ca.SX, last: ca.SX
-) -> Leg:
-    """Position relative to the tangent at the foot; `along` and `length` are those of the path."""
-    w, end, (point, slope, second) = foot
-    north, east, down = ca.vertsplit(slope)
-    flat = ca.sqrt(north**2 + east**2)
-    course, incline = ca.atan2(east, north), -ca.atan2(down, flat)
-    x, y, z = ca.vertsplit(place - point)
-    cross = (north * y - east * x) / flat
-    curvature = (north * second[1] - east * second[0]) / flat**3
-    d_horizontal = (north * second[0] + east * second[1]) / flat
-    incline_rate = (down * d_horizontal - second[2] * flat) / (flat**2 + down**2) / flat
-    to_end = ca.norm_2(place - last)
-    return Leg(course, incline, w, end, cross, z * ca.cos(incline), to_end, point[2], curvature, incline_rate)
-
-
-def _curve(points: np.ndarray) -> CubicSpline:
-    """A natural cubic spline, whose parameter at the way-points is the arc length up to them, nearly."""
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    for _ in range(SETTINGS.rounds):
-        knots = np.concatenate([[0.0], np.cumsum(lengths)])
-        curve = CubicSpline(knots, points, bc_type="natural")
-        inner = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0, 1, SETTINGS.samples_per_piece)
-        lengths = np.linalg.norm(np.diff(curve(inner), axis=1), axis=2).sum(axis=1)
-    return curve

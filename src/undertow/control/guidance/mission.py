@@ -126,7 +126,13 @@ class Mission:
         """What a controller with these gains follows."""
         vehicle = gains.plant.vehicle
         names = vehicle.pose_names
-        _check_coordinates(self, names, vehicle.name)
+        for i, name in enumerate("xyz"):
+            if name not in names and np.any(self.points[:, i]):
+                raise UndertowError(
+                    f"way-points have {name}, which '{vehicle.name}' does not move in: leave {name} out"
+                )
+        if not {"x", "y", "psi"} <= set(names):
+            raise UndertowError(f"a mission needs x, y and psi, and '{vehicle.name}' has {', '.join(names)}")
         actuated = {
             n for n, d in zip(names, vehicle.degrees_of_freedom, strict=True) if d not in gains.unactuated
         }
@@ -228,16 +234,6 @@ def _check_limits(profile: Profile, limits: Limits) -> None:
                     f"{profile.knots[worst]:.4g} s, above {limit:.4g}: allow {factor:.3g} times the time, "
                     "or raise the limit"
                 )
-
-
-def _check_coordinates(mission: Mission, names: tuple[str, ...], vehicle: str) -> None:
-    for i, name in enumerate("xyz"):
-        if name not in names and np.any(mission.points[:, i]):
-            raise UndertowError(
-                f"way-points have {name}, which '{vehicle}' does not move in: leave {name} out"
-            )
-    if not {"x", "y", "psi"} <= set(names):
-        raise UndertowError(f"a mission needs x, y and psi, and '{vehicle}' has {', '.join(names)}")
 
 
 _KINDS = {"legs": "legs", "spline": "splines by line of sight"}

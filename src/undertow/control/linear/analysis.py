@@ -182,7 +182,10 @@ def _subspace(system: ct.StateSpace, a: Array, b: Array) -> Subspace:
         n for n, row in zip(names, basis, strict=True) if np.linalg.norm(row) < SETTINGS.reach_tolerance
     ]
     mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
-    horizon = _horizon(system)
+    # The slowest time constant that decays, s.
+    rates = [_rate(p, sampling_time(system)).real for p in np.linalg.eigvals(system.A)]
+    decaying = [-1 / r for r in rates if r < -1e-6]
+    horizon = float(max(decaying, default=10.0))
     W = sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
     singular = np.linalg.svd(W, compute_uv=False)
     mixed = tuple(n for n in mixed_states if n not in missing)
@@ -205,13 +208,6 @@ def reachable(a: Array, b: Array) -> Array:
 def _range_basis(columns: Array) -> Array:
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular > SETTINGS.rank]
-
-
-def _horizon(system: ct.StateSpace) -> float:
-    """The slowest time constant that decays, s."""
-    rates = [_rate(p, sampling_time(system)).real for p in np.linalg.eigvals(system.A)]
-    decaying = [-1 / r for r in rates if r < -1e-6]
-    return float(max(decaying, default=10.0))
 
 
 def gramian(a: Array, b: Array, horizon: float) -> Array:

@@ -145,17 +145,13 @@ def lqr(
             "more error"
         )
     loop = close_loop(vehicle, gains, found)
-    _check_stable(loop)
-    return Design(gains, loop, coupling, slowed, certified)
-
-
-def _check_stable(loop: LinearLoop) -> None:
     growing = [m for m in modes(loop.closed) if not m.stable]
     if growing:
         raise UndertowError(
             f"the diagonal law does not hold the vehicle: a mode in {', '.join(growing[0].states)} grows "
             f"with {growing[0].pole.real:.3g} 1/s; its motions are too strongly coupled for one gain each"
         )
+    return Design(gains, loop, coupling, slowed, certified)
 
 
 class _Channels:
@@ -165,7 +161,12 @@ class _Channels:
         self, vehicle: Vehicle, trim: Trim, error: Mapping[str, float], force: Mapping[str, float]
     ) -> None:
         self.vehicle, self.trim = vehicle, trim
-        plant = with_forces(_ideal_plant(vehicle, trim), forces_of(vehicle))
+        # The linear vehicle with ideal thrust: the law feeds no lag back, and a dead band has no slope.
+        ideal = with_ideal_thrust(vehicle)
+        names = Functions(ideal).state_names
+        plant = with_forces(
+            linearize(ideal, replace(trim, states={n: trim.states[n] for n in names})), forces_of(vehicle)
+        )
         actuated = [name.removeprefix("force_") for name in plant.input_labels]
         if not actuated:
             remedy = remedy_for_curves(vehicle) or f"'{vehicle.name}' has no thruster: add one"
@@ -217,13 +218,6 @@ class _Channels:
         unactuated = [d for i, d in enumerate(self.vehicle.degrees_of_freedom) if i not in self.rows]
         content = {"schema": "undertow/gains/1", "name": name, "law": law, "gains": gains}
         return gains_from_table(GainTable.model_validate(content | {"unactuated": unactuated}), self.vehicle)
-
-
-def _ideal_plant(vehicle: Vehicle, trim: Trim) -> ct.StateSpace:
-    """The linear vehicle with ideal thrust: the law feeds no lag back, and a dead band has no slope."""
-    ideal = with_ideal_thrust(vehicle)
-    names = Functions(ideal).state_names
-    return linearize(ideal, replace(trim, states={n: trim.states[n] for n in names}))
 
 
 def _coupling(part: Array) -> float:

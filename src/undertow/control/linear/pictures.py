@@ -269,7 +269,12 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
                 label=f"zeros, {plain(c.name)}",
             )
     if not found.dt:
-        _logarithmic_axes(axis, own)
+        # Logarithmic axes, linear around zero, where poles are of very different size.
+        sizes = np.abs(own[np.abs(own) > 0])
+        if sizes.size and sizes.max() > _SPREAD * sizes.min():
+            least = 10.0 ** np.floor(np.log10(float(sizes.min())))
+            axis.set_xscale("symlog", linthresh=least)
+            axis.set_yscale("symlog", linthresh=least)
     _stability_limit(axis, found.dt)
     return _titled(shown, axes, _title(found, "poles of the loop" if found.loop else "poles"))
 
@@ -277,15 +282,6 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
 def _conjugate_poles(modes: Sequence[Any]) -> list[complex]:
     """Poles of modes, of pairs both."""
     return [q for m in modes for q in ({m.pole, m.pole.conjugate()})]
-
-
-def _logarithmic_axes(axis: Any, poles: Any) -> None:
-    """Logarithmic axes, linear around zero, where poles are of very different size."""
-    sizes = np.abs(poles[np.abs(poles) > 0])
-    if sizes.size and sizes.max() > _SPREAD * sizes.min():
-        least = 10.0 ** np.floor(np.log10(float(sizes.min())))
-        axis.set_xscale("symlog", linthresh=least)
-        axis.set_yscale("symlog", linthresh=least)
 
 
 def _stability_limit(axis: Any, dt: float = 0.0) -> None:
@@ -317,31 +313,22 @@ def _loci(found: Analysis, channels: Sequence[Channel]) -> Figure:
         begin, end = system.poles(), np.asarray(system.zeros())
         axis.plot(begin.real, begin.imag, "x", color=INK, label="gain 0")
         axis.plot(end.real, end.imag, "o", color=INK, fillstyle="none", label="gain without end")
-        now = _closed_poles(system)
+        now = np.linalg.eigvals(system.A - system.B @ system.C / (1 + system.D[0, 0]))
         words = "gain 1 (the law as it is)" if found.loop else "gain 1"
         axis.plot(now.real, now.imag, "s", color=BEFORE, markersize=5, label=words)
         if found.dt:
             axis.set(xlim=(-1.6, 1.6), ylim=(-1.15, 1.15))
         else:
-            _window(axis, now)
+            # A window around the relevant part: branches go to infinity.
+            wide = max(1.8 * float(np.max(np.abs(now), initial=0.0)), 1e-3)
+            right = max(0.3 * wide, 1.5 * float(np.max(now.real, initial=0.0)))
+            axis.set(xlim=(-wide, right), ylim=(-wide, wide))
         _stability_limit(axis, found.dt)
         axis.set_title(plain(name, 90))
         _legend(axis)
     shown.suptitle(_title(found, f"root locus, {what}"), x=0.01, ha="left", fontsize=10)
     _grids(axes)
     return shown
-
-
-def _window(axis: Any, points: Any) -> None:
-    """A window around the relevant part: branches go to infinity."""
-    wide = max(1.8 * float(np.max(np.abs(points), initial=0.0)), 1e-3)
-    right = max(0.3 * wide, 1.5 * float(np.max(points.real, initial=0.0)))
-    axis.set(xlim=(-wide, right), ylim=(-wide, wide))
-
-
-def _closed_poles(system: Any) -> Any:
-    a = system.A - system.B @ system.C / (1 + system.D[0, 0])
-    return np.linalg.eigvals(a)
 
 
 # --- shared ---------------------------------------------------------------------------------------

@@ -188,7 +188,8 @@ class Analysis:
         found = [
             c
             for c in self.main_channels
-            if output == c.output or source in (c.source, *_short_names(c.source))
+            if output == c.output
+            or source in (c.source, c.source.removeprefix("force_"), c.source.removesuffix("_ref"))
         ]
         if found:
             return found
@@ -252,10 +253,6 @@ def _require_output(kind: str, name: str, outputs: Sequence[str]) -> None:
         raise UndertowError(
             f"{kind}'{name}' is not an output{nearest(name, outputs)}: it has {', '.join(outputs)}"
         )
-
-
-def _short_names(source: str) -> tuple[str, str]:
-    return source.removeprefix("force_"), source.removesuffix("_ref")
 
 
 def _mode(mode: Mode) -> dict[str, Any]:

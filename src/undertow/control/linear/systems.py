@@ -12,7 +12,6 @@ import casadi as ca
 import control as ct
 import numpy as np
 from scipy.linalg import matrix_balance
-from scipy.signal import cont2discrete
 
 from undertow.codegen.compiler import Evaluator
 from undertow.codegen.manifest import whole_samples
@@ -93,15 +92,16 @@ def linear_with_delays(
     """The linear system at a trim, sampled with its dead times in whole samples, or with Padé's."""
     _check_sampling(dt, pade)
     system = linear_at(numeric, trim, p)
-    system = _zero_order_hold(system, dt) if dt else system
+    system = system.sample(dt, name=system.name) if dt else system  # behind a zero-order hold
     dead, late = numeric.functions.late(p)
     late = {n: s for n, s in late.items() if n in system.output_labels}
     if not dead and not late:
         return system
     if not (pade or dt):
+        acting = [f"commands act {dead:g} s late"] if dead else []
         _log.warning(
             "%s of '%s'; the linear system is without it, --pade 3 (pade=3) has it approximately",
-            ", ".join(_delay_texts(dead, late)),
+            ", ".join(acting + [f"{name} is reported {age:g} s late" for name, age in late.items()]),
             numeric.vehicle.name,
         )
         return system
@@ -163,13 +163,6 @@ def _check_sampling(dt: float, pade: int) -> None:
         )
 
 
-def _zero_order_hold(system: ct.StateSpace, dt: float) -> ct.StateSpace:
-    """A continuous system sampled behind a zero-order hold."""
-    a, b, c, d, _ = cont2discrete((system.A, system.B, system.C, system.D), dt)
-    labels = system.state_labels, system.input_labels, system.output_labels
-    return named(ct.ss(a, b, c, d, dt=dt), *labels, system.name)
-
-
 def with_units(system: ct.InputOutputSystem, units: Mapping[str, str]) -> ct.InputOutputSystem:
     """The same system, whose labels say units, as in "u [m/s]"; what has no unit keeps its name."""
     system.set_states([_labelled(n, units) for n in system.state_labels])
@@ -222,15 +215,9 @@ def as_nlsys(
     if late := numeric.functions.late()[0]:
         _log.warning("commands of '%s' act %g s late; as_nlsys is without it", vehicle.name, late)
 
-    def rate(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
-        return numeric.rate(t, x, u, params.get("p"))
-
-    def report(t: float, x: Array, u: Array, params: Mapping[str, Array]) -> Array:
-        return numeric.report(t, x, u, params.get("p"))
-
     system = ct.nlsys(
-        rate,
-        report,
+        lambda t, x, u, params: numeric.rate(t, x, u, params.get("p")),
+        lambda t, x, u, params: numeric.report(t, x, u, params.get("p")),
         states=list(numeric.states),
         inputs=list(numeric.commands),
         outputs=list(numeric.outputs),
@@ -242,12 +229,6 @@ def as_nlsys(
 def _name(vehicle: Vehicle) -> str:
     """The vehicle's name without the dot, which python-control puts between a system and its signals."""
     return vehicle.name.replace(".", "_")
-
-
-def _delay_texts(commands: float, reports: Mapping[str, float]) -> list[str]:
-    """Dead times in words."""
-    acting = [f"commands act {commands:g} s late"] if commands else []
-    return acting + [f"{name} is reported {late:g} s late" for name, late in reports.items()]
 
 
 def named(
@@ -313,15 +294,12 @@ class LawSystem:
         """References, pose and velocity to commands."""
         n = len(self.references)
 
-        def rate(t: float, z: Array, inputs: Array, params: object) -> Array:
-            return self.outputs(inputs[:n], inputs[n:], z)[1]
-
-        def commands(t: float, z: Array, inputs: Array, params: object) -> Array:
-            return self.outputs(inputs[:n], inputs[n:], z)[0]
+        def outputs(z: Array, inputs: Array) -> tuple[Array, Array, Array]:
+            return self.outputs(inputs[:n], inputs[n:], z)
 
         return ct.nlsys(
-            rate if self.states else None,
-            commands,
+            (lambda t, z, inputs, params: outputs(z, inputs)[1]) if self.states else None,
+            lambda t, z, inputs, params: outputs(z, inputs)[0],
             states=self.states or None,
             inputs=[*self.references, *self.measured],
             outputs=list(self._controller.command_names),
@@ -349,7 +327,16 @@ class LawSystem:
 
         Integrals supply what the trim needs; a law without them keeps a steady-state error.
         """
-        self._check(trim)
+        law = self.gains.law
+        if law.id in DISCONTINUOUS:
+            raise UndertowError(
+                f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
+                "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
+            )
+        if trim.turning:
+            raise UndertowError(
+                f"'{self.gains.name}' holds a pose and cannot hold a turn: use a trim without r"
+            )
         n = len(self.references)
         y = trim.y
         ref, z, rows = y[:n].copy(), np.zeros(len(self.states)), list(self.actuated)
@@ -363,18 +350,6 @@ class LawSystem:
             else:
                 ref = ref + np.linalg.pinv(slope[:, :n]) @ missing
         return ref, y, z
-
-    def _check(self, trim: Trim) -> None:
-        law = self.gains.law
-        if law.id in DISCONTINUOUS:
-            raise UndertowError(
-                f"law '{law.id}' of '{self.gains.name}' is discontinuous at its set-point, so it has no "
-                "linearisation there: use 'sliding-mode-boundary-layer', or simulate it"
-            )
-        if trim.turning:
-            raise UndertowError(
-                f"'{self.gains.name}' holds a pose and cannot hold a turn: use a trim without r"
-            )
 
 
 def as_controller(gains: GainSet, *, units: bool = False) -> ct.NonlinearIOSystem:
@@ -560,7 +535,7 @@ class SteadyStateFilter:
     """The steady-state Kalman filter of an observer at a trim, in continuous time.
 
     Reports every T s with variance r are equivalent to a continuous report with spectral density r T (Simon
-    2006, section 8.1); a sensor without a period counts as one of `DesignSettings.sample`. Deviations from
+    2006, section 8.1); a sensor without a period counts as one of `USUAL_PERIOD`. Deviations from
     the trim follow dx/dt = a x + b u, with reports c x; `gain`, shape (nx, k), is that of the innovations.
     With late reports, the states of Padé's approximation of their delay are included.
     """

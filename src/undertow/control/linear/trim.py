@@ -165,20 +165,16 @@ def solve(balance: Balance, commands: Array | None = None) -> tuple[Array, Array
     if not inside:
         raise UndertowError(_beyond_limit(balance, good[0]))
     best = min(inside, key=lambda y: float(balance.weights @ y**2))
-    return _without_drift(balance, best)
-
-
-def _without_drift(balance: Balance, y: Array) -> tuple[Array, Array]:
-    """The motion with no drift and no tilt at all where they are negligible."""
+    # The motion with no drift and no tilt at all where they are negligible.
     names = [balance.names[i] for i in balance.unknown]
-    faint = [n for n, v in zip(names, y, strict=True) if abs(v) < SETTINGS.negligible]
+    faint = [n for n, v in zip(names, best, strict=True) if abs(v) < SETTINGS.negligible]
     small = [n for n in faint if n in (*POSE, *VELOCITY)]
     held = dict(balance.request.held) | dict.fromkeys(small, 0.0)
     upright = Balance(balance.numeric, replace(balance.request, held=held))
-    start = np.array([v for n, v in zip(names, y, strict=True) if n not in small])
+    start = np.array([v for n, v in zip(names, best, strict=True) if n not in small])
     again = _polished(upright, start)
     better = upright.is_steady(again) and not _beyond_limit(upright, again)
-    return upright.split(again) if better else balance.split(y)
+    return upright.split(again) if better else balance.split(best)
 
 
 def _starts(balance: Balance, commands: Array | None = None) -> list[Array]:
