@@ -84,10 +84,8 @@ class OneStepPrediction:
             # Schwarz's criterion, per equation
             criterion = 2.0 * count * np.mean(np.log(scale)) + order * size * np.log(count)
             if criterion < least:
-                least, found = (
-                    criterion,
-                    cls(np.array(c.reshape(order, size, size).swapaxes(1, 2), dtype=float), scale),
-                )
+                blocks = np.asarray(c, dtype=float).reshape(order, size, size)
+                least, found = criterion, cls(blocks.swapaxes(1, 2), scale)
         return found
 
     @property
