@@ -14,11 +14,10 @@ from tests.cli.bad import text_of
 from undertow.errors import UndertowError
 from undertow.identification.doctor.compass import Deviation, deviation
 from undertow.identification.doctor.examine import examine
-from undertow.identification.logs.compass import corrected
 from undertow.identification.logs.mapping import LogMapping, edited, read_edits
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.reading import read_log
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import Run, with_heading_corrected
 from undertow.model.loading import load_vehicle
 from undertow.typing import Array
 
@@ -210,6 +209,6 @@ def test_a_second_deviation_is_added_to_the_first() -> None:
 
 def test_a_run_without_a_heading_stays_as_it_is() -> None:
     columns = {"u": np.ones(3)}
-    assert corrected(columns, IRON, velocities=True) == columns
+    assert with_heading_corrected(columns, IRON, velocities=True) == columns
     run = replace(_run(_boat(NONE, _turning)), wrapped={})
     assert deviation(load_vehicle("otter"), [run.without(("psi",))]) is None

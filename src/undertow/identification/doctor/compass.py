@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.findings import Finding, percent
-from undertow.identification.logs.compass import without_deviation
 from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import Run, without_deviation
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
 

@@ -35,7 +35,6 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
 from . import opening
-from .compass import corrected
 from .formats.fieldlog import Window, one_run
 from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
 from .opening import FieldLogs
@@ -54,6 +53,7 @@ from .run import (
     later_than_before,
     on_one_clock,
     unwrapped,
+    with_heading_corrected,
     with_report_noise,
 )
 
@@ -453,7 +453,7 @@ def _in_ned_frd(channels: Channels, mapping: LogMapping, where: str) -> Channels
     if mapping.compass is not None:
         opening.must_have("psi", channels, where, "channel, which [compass] corrects,")
         turned = mapping.compass.velocities and spec.velocity == "body"
-        channels = corrected(channels, mapping.compass.coefficients, velocities=turned)
+        channels = with_heading_corrected(channels, mapping.compass.coefficients, velocities=turned)
     if spec.velocity != "body":
         opening.must_have("psi", channels, where, f"channel, which velocities in {spec.velocity} need,")
         linear = {name: data for name, data in given.items() if name in VELOCITY[:3]}
@@ -466,7 +466,7 @@ def _angles_in_ned_frd(wrapped: Channels, mapping: LogMapping) -> Channels:
     turned = swap_attitude(wrapped) if _attitude(mapping) == "ENU" else wrapped
     if mapping.compass is None:
         return turned
-    return corrected(turned, mapping.compass.coefficients, velocities=False)
+    return with_heading_corrected(turned, mapping.compass.coefficients, velocities=False)
 
 
 def _attitude(mapping: LogMapping) -> str:

@@ -601,3 +601,36 @@ MEASURABLE = Measurable()
 def far_from_usual(step: float) -> float:
     """Factor, as a logarithm, by which a step, s, is shorter or longer than those of vehicles; 0 if usual."""
     return float(max(0.0, np.log(MEASURABLE.quick) - np.log(step), np.log(step) - np.log(MEASURABLE.slow)))
+
+
+# --- deviation of a compass -------------------------------------------------------------------------
+Deviation = tuple[float, float, float]
+"""A, B and C, rad: constant, and the semicircular deviation of hard iron, A + B sin psi + C cos psi."""
+
+
+def with_heading_corrected(
+    channels: Mapping[str, Array], deviation: Deviation, *, velocities: bool
+) -> dict[str, Array]:
+    """Channels with the deviation added to the heading.
+
+    With `velocities`, u and v were turned into body axes by the heading of the compass, and are turned on.
+    """
+    if "psi" not in channels:
+        return dict(channels)
+    (a, b, c), psi = deviation, channels["psi"]
+    more = a + b * np.sin(psi) + c * np.cos(psi)  # Bowditch
+    found = {**channels, "psi": psi + more}
+    if velocities:
+        zero = np.zeros_like(more)
+        u, v = channels.get("u", zero), channels.get("v", zero)
+        turned = {"u": u * np.cos(more) + v * np.sin(more), "v": v * np.cos(more) - u * np.sin(more)}
+        found |= {n: turned[n] for n in turned if n in channels}
+    return found
+
+
+def without_deviation(run: Run, deviation: Deviation, *, velocities: bool) -> Run:
+    """A run with the deviation of its compass added to the heading."""
+    channels = with_heading_corrected(run.channels, deviation, velocities=velocities)
+    given = with_heading_corrected(run.wrapped, deviation, velocities=False)
+    channels |= {"psi": unwrapped(channels["psi"])} if "psi" in run.wrapped else {}
+    return replace(run, channels=channels, wrapped=given)
