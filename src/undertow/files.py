@@ -115,7 +115,7 @@ def read_json(path: str | os.PathLike[str], kind: str) -> str:
     """Read the text of a JSON file of reasonable size and depth; what it holds is for the caller to check."""
     text = read_text(path, kind, RESULTS)
     if _depth(_QUOTED.sub("_", text)) > RESULTS.depth:
-        raise UndertowError(_too_deep(os.fspath(path), kind))
+        raise UndertowError(_too_deep(os.fspath(path), kind, RESULTS.depth))
     return text
 
 
@@ -149,11 +149,10 @@ def _refuse_depth(text: str, where: str, kind: str) -> None:
             "write tables such as [columns]"
         )
     if _depth(bare) > limits.depth:
-        raise UndertowError(_too_deep(where, kind))
+        raise UndertowError(_too_deep(where, kind, limits.depth))
 
 
-def _too_deep(where: str, kind: str) -> str:
-    most = STATEMENTS.depth
+def _too_deep(where: str, kind: str, most: int) -> str:
     return f"{where}: values are nested too deeply for a {kind} (limit {most} brackets): write them flat"
 
 

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.identification.test_evidence import _NO_EVIDENCE
+from tests.control.test_certificates import loaded
+from tests.identification.test_evidence import NO_EVIDENCE
 from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
-from undertow.identification.diagnosis.evidence import FoundEffect, compare_scores, p_value_beside_past
+from undertow.identification.diagnosis.evidence import (
+    FoundEffect,
+    compare_scores,
+    p_value_in_autoregressive_noise,
+)
 from undertow.identification.diagnosis.grading import feedback_doubt
 from undertow.identification.diagnosis.prediction_gain import PredictionGain
 from undertow.identification.diagnosis.trial import try_candidate
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.whitening import OneStepPrediction
+from undertow.identification.estimation.whitening import AutoregressiveNoise
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle
-from undertow.model.vehicle import Vehicle
 
 STEP, SECONDS = 0.1, 150.0
 MASS, DRAG = 18.0, 6.0  # kg with added mass, kg/s
@@ -73,23 +74,15 @@ def _run(seed: int, dead: float, *, held: bool) -> Run:
 
 
 @cache
-def _vehicle() -> Vehicle:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "float.toml"
-        path.write_text(VEHICLE, encoding="utf-8")
-        return load_vehicle(path)
-
-
-@cache
 def _dead_band(dead: float, *, held: bool) -> tuple[FoundEffect, Bench]:
     """The dead band as a candidate for a model that has none."""
-    vehicle = _vehicle()
+    vehicle = loaded(VEHICLE)
     runs = [_run(seed, dead, held=held) for seed in range(6)]
     train = prepare(runs[:3], vehicle)
     bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
     candidate = Candidate(catalogue()["thruster_deadband"], vehicle)
     start = bench.base.values | {p.name: 2.0 for p in candidate.parameters}
-    return FoundEffect(try_candidate(candidate, bench, start), *_NO_EVIDENCE), bench
+    return FoundEffect(try_candidate(candidate, bench, start), *NO_EVIDENCE), bench
 
 
 def test_a_controller_that_opposes_a_disturbance_looks_like_a_dead_band() -> None:
@@ -97,22 +90,22 @@ def test_a_controller_that_opposes_a_disturbance_looks_like_a_dead_band() -> Non
     usual = compare_scores(bench.base_score, finding.trial.score, bench.test)
     assert usual.p_value < 0.01
     assert finding.trial.fit.values["deadband_width"] > RMS
-    assert p_value_beside_past(finding, bench) > 0.1
+    assert p_value_in_autoregressive_noise(finding, bench) > 0.1
     assert "oppose a disturbance" in feedback_doubt(finding, bench, among=1)
 
 
-def test_inertia_and_drag_are_found_beside_the_past_of_the_disturbance() -> None:
+def test_inertia_and_drag_are_found_under_autoregressive_noise() -> None:
     """Under white noise, thrust that does not move a vehicle is thrust on a much heavier one."""
     _, bench = _dead_band(0.0, held=True)
-    white, coloured = (-b.base.values["X_udot"] for b in (bench, bench.beside_past))
+    white, coloured = (-b.base.values["X_udot"] for b in (bench, bench.autoregressive))
     assert white > 60.0
     assert coloured < 0.5 * white
 
 
-def test_a_dead_band_shows_beside_the_past_of_the_disturbance() -> None:
+def test_a_dead_band_shows_under_autoregressive_noise() -> None:
     finding, bench = _dead_band(2.5, held=False)
     assert finding.trial.fit.values["deadband_width"] == pytest.approx(2.5, rel=0.25)
-    assert p_value_beside_past(finding, bench) < 3e-4
+    assert p_value_in_autoregressive_noise(finding, bench) < 3e-4
     assert feedback_doubt(finding, bench, among=30) == ""
 
 
@@ -135,11 +128,11 @@ def test_one_step_predictions_leave_white_noise() -> None:
     waves = lfilter([1.0], [1.0, -2.0 * 0.97 * np.cos(0.5), 0.97**2], e[1])
     late = e[2] + 0.5 * np.concatenate([np.zeros((2, 1)), waves[:, :-1]], axis=1)
     tables = [np.stack([slow[i], waves[i], late[i]], axis=1) for i in range(2)]
-    found = OneStepPrediction.of(tables)
+    found = AutoregressiveNoise.of(tables)
     assert found.order == 2
     assert found.coefficients[0, 0] == pytest.approx([0.9, 0.0, 0.0], abs=0.06)
     assert found.coefficients[:, 1, 1] == pytest.approx([2.0 * 0.97 * np.cos(0.5), -(0.97**2)], abs=0.05)
     assert found.coefficients[0, 2] == pytest.approx([0.0, 0.5, 0.0], abs=0.06)
-    errors = found.errors(tables[1].reshape(-1, 1)).reshape(-1, 3)[found.order :]
+    errors = found.innovations(tables[1].reshape(-1, 1)).reshape(-1, 3)[found.order :]
     assert np.mean(errors**2, axis=0) == pytest.approx(1.0, rel=0.1)
     assert np.mean(errors[1:] * errors[:-1], axis=0) == pytest.approx(0.0, abs=0.07)

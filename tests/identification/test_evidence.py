@@ -375,7 +375,7 @@ def test_terms_that_give_the_force_of_another_effect_are_tried_alone() -> None:
     effects = ("trim_offset", "constant_force", "added_mass_coupling")
     tried = (Candidate(catalogue()[i], vehicle) for i in effects)
     trials = (try_candidate(candidate, bench, bench.base.values) for candidate in tried)
-    trim, steady, coupling = (FoundEffect(trial, *_NO_EVIDENCE) for trial in trials)
+    trim, steady, coupling = (FoundEffect(trial, *NO_EVIDENCE) for trial in trials)
     whole = replace(steady, trial=replace(steady.trial, fit=steady.trial.full))  # with all of its six terms
     alone = reduced_to_same_force(whole, trim, bench)
     assert alone is not None
@@ -385,7 +385,7 @@ def test_terms_that_give_the_force_of_another_effect_are_tried_alone() -> None:
     assert reduced_to_same_force(coupling, trim, bench) is None
 
 
-_NO_EVIDENCE = (Comparison(0.0, (0.0, 0.0), 1.0), 0.0, 1.0, False)
+NO_EVIDENCE = (Comparison(0.0, (0.0, 0.0), 1.0), 0.0, 1.0, False)
 
 
 def test_a_vehicle_without_commands_has_no_actuation_to_blame() -> None:

@@ -118,12 +118,14 @@ class Parameter:
     name: str = field(default="", kw_only=True)
 
     @classmethod
-    def known(cls, unit: str, about: str, bounds: Range, default: float, **more: Any) -> Self:
+    def with_default(cls, unit: str, about: str, bounds: Range, default: float, **more: Any) -> Self:
         """A shape parameter that cannot switch its effect off, taken as known where no file states it."""
         return cls(unit, about, bounds, linear=False, default=default, neutral=None, **more)
 
     @classmethod
-    def sought(cls, unit: str, about: str, bounds: Range, starts: tuple[float, ...], **more: Any) -> Self:
+    def with_starts(
+        cls, unit: str, about: str, bounds: Range, starts: tuple[float, ...], **more: Any
+    ) -> Self:
         """A shape parameter that cannot switch its effect off, with where a search for it begins."""
         return cls(unit, about, bounds, linear=False, starts=starts, neutral=None, **more)
 

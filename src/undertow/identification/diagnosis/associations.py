@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2, gamma
 
 from undertow.identification.estimation.data import WeakData, blocks_of_time, inverse_of
-from undertow.identification.estimation.whitening import OneStepPrediction
+from undertow.identification.estimation.whitening import AutoregressiveNoise
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -242,11 +242,11 @@ class Sample:
         """Sum of squares."""
         return float(np.sum(self.r**2))
 
-    def predicted(self, prediction: OneStepPrediction, lengths: Sequence[int]) -> Sample:
-        """Errors of the predictions of each entry from those before it; `lengths` are those of segments."""
+    def innovations(self, noise: AutoregressiveNoise, lengths: Sequence[int]) -> Sample:
+        """One-step prediction errors of the entries under a noise model; `lengths` are those of segments."""
         table = np.column_stack([self.r, self.J, self.columns])
         pieces = np.split(table, np.cumsum(lengths)[:-1])
-        errors = np.vstack([prediction.errors(piece) for piece in pieces])
+        errors = np.vstack([noise.innovations(piece) for piece in pieces])
         own = 1 + self.J.shape[1]
         return replace(self, r=errors[:, 0], J=errors[:, 1:own], columns=errors[:, own:])
 
@@ -343,16 +343,18 @@ class Association:
         chance = (1 + int(np.sum(by_chance >= falls[first]))) / (1 + SETTINGS.patterns)
         return self._found(products[first], float(falls[first]), chance, alike)
 
-    def beside_past(self, found: AssociatedTerm, lengths: Sequence[Sequence[int]]) -> float:
-        """P-value of a term if what remains without it is predicted from its past.
+    def chance_in_autoregressive_noise(
+        self, found: AssociatedTerm, lengths: Sequence[Sequence[int]]
+    ) -> float:
+        """P-value of a term under autoregressive noise, estimated from what remains without it.
 
         lengths: of the segments of each of the three samples.
         """
         rest = self.without(found).samples.fitted.r[:, None]
-        prediction = OneStepPrediction.of(np.split(rest, np.cumsum(lengths[0])[:-1]))
+        noise = AutoregressiveNoise.of(np.split(rest, np.cumsum(lengths[0])[:-1]))
         place = self.slices[found.term.label]
         samples = (
-            replace(s, columns=s.columns[:, place]).predicted(prediction, each)
+            replace(s, columns=s.columns[:, place]).innovations(noise, each)
             for s, each in zip(self.samples, lengths, strict=True)
         )
         alone = Association((found.term,), Samples(*samples), self.stiffness).strongest()

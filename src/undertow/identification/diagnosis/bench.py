@@ -29,9 +29,9 @@ from undertow.identification.estimation.weak_form import (
     fit_weak_by_run,
     free_parameters,
     mean_square,
-    predicting_past,
     used_in_estimation,
     values_in_runs,
+    with_autoregressive_noise,
     with_process_noise,
     with_reestimated_noise,
 )
@@ -199,10 +199,10 @@ class Bench:
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
 
     @cached_property
-    def beside_past(self) -> Bench:
-        """The bench with all that the model lacks as a disturbance that is predicted from its past."""
-        base, prediction = predicting_past(self.base)
-        test = [w.predicting(prediction) for w in self.test_whitening]
+    def autoregressive(self) -> Bench:
+        """The bench under autoregressive noise, estimated from all that the model lacks."""
+        base, noise = with_autoregressive_noise(self.base)
+        test = [w.with_autoregressive(noise) for w in self.test_whitening]
         return replace(self, train_whitening=base.whitening, test_whitening=test, base=base)
 
     def without_disturbance(self) -> Bench:

@@ -387,9 +387,9 @@ def block_length_factor(trial: Trial, residual: Array, bench: Bench) -> int:
     return max(1, round(min(data.uncorrelated_seconds(score), longest) / data.block_seconds))
 
 
-def p_value_beside_past(finding: FoundEffect, bench: Bench) -> float:
-    """P-value of an effect beside a disturbance that is predicted from its past."""
-    predicted, found = bench.beside_past, finding.trial.fit
+def p_value_in_autoregressive_noise(finding: FoundEffect, bench: Bench) -> float:
+    """P-value of an effect under autoregressive noise estimated without it (see `Bench.autoregressive`)."""
+    predicted, found = bench.autoregressive, finding.trial.fit
     fit = predicted.fit(found.model, start=found.values)
     return compare_scores(predicted.base_score, predicted.score(fit), bench.test).p_value
 

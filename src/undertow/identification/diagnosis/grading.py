@@ -31,7 +31,7 @@ from .evidence import (
     fitted,
     inclusion,
     linearised,
-    p_value_beside_past,
+    p_value_in_autoregressive_noise,
     reconciles_sensors,
     reduced_to_same_force,
 )
@@ -96,11 +96,11 @@ def feedback_doubt(finding: FoundEffect, bench: Bench, among: int) -> str:
     """
     if finding.trial.candidate.effect.family != "actuation":
         return ""
-    chance = min(1.0, among * p_value_beside_past(finding, bench))
+    chance = min(1.0, among * p_value_in_autoregressive_noise(finding, bench))
     if chance < bench.settings.false_alarm_rate:
         return ""
     return (
-        "commands that oppose a disturbance look like this: beside one that is predicted from its past, it "
+        "commands that oppose a disturbance look like this: with autoregressive noise in the model, it "
         f"explains no more than chance (p = {chance:.2g})"
     )
 

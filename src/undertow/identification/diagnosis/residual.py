@@ -119,13 +119,13 @@ class Characterisation:
         return term is not None and self._remove_term(term)
 
     def _strongest(self) -> AssociatedTerm | None:
-        """The significant term that removes most, and does so beside the past of what remains.
+        """The significant term that removes most, and is significant under autoregressive noise, too.
 
         A slow disturbance resembles a step, a trend, or the commands that oppose it.
         """
         lengths = [[s.functions.count for s in rows.data.segments] for rows, _, _ in self._force.rows]
         while (term := self._association.strongest()) is not None and term.chance <= SETTINGS.chance:
-            if self._association.beside_past(term, lengths) <= SETTINGS.chance:
+            if self._association.chance_in_autoregressive_noise(term, lengths) <= SETTINGS.chance:
                 return term
             self._association = self._association.excluding(term)
         return None

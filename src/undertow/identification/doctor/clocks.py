@@ -357,8 +357,10 @@ def _explains(at: Dynamics, delay: float) -> bool:
 
 
 def _latency_note(delay: float, error: float, *, acausal: bool, shifted: bool) -> Finding:
-    why = ", which is impossible: compare the clocks of commands and sensors" if shifted else ""
-    if acausal and not shifted:
+    why = ""
+    if shifted:
+        why = ", which is impossible: compare the clocks of commands and sensors"
+    elif acausal:
         why = (
             ", which explains little of the model's residual and proves no clock error: a controller that "
             "responds to what the model lacks looks the same"
@@ -410,12 +412,13 @@ def _search(at: Dynamics, start: Array, drifts: bool) -> tuple[Array, Array, flo
 def _late_commands(at: Dynamics, delay: float, error: float, mapping: LogMapping) -> Finding:
     """A delay for which the refitted model is decisively better."""
     size = f"{abs(delay):.2f} ± {error:.1g} s"
-    clause = f"the motion precedes the commands by {size}, which is impossible: they are logged too late"
     if delay > 0:
         clause = (
             f"the motion follows the commands by {size}: thrusters with a dead time or a lag (undertow add "
             "actuation_delay or thruster_lag), or commands that are logged too early"
         )
+    else:
+        clause = f"the motion precedes the commands by {size}, which is impossible: they are logged too late"
     return Finding(
         id="late_commands",
         severity="warning" if delay > 0 else "mistake",

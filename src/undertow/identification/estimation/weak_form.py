@@ -18,7 +18,7 @@ from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, require_equations, squared
-from .whitening import OneStepPrediction, Whitening
+from .whitening import AutoregressiveNoise, Whitening
 from .windows import Windows, cut
 
 
@@ -89,8 +89,8 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     return np.asarray(level)
 
 
-def predicting_past(fit: WeakFit) -> tuple[WeakFit, OneStepPrediction]:
-    """The model fitted with all that it lacks as a disturbance that is predicted from its past.
+def with_autoregressive_noise(fit: WeakFit) -> tuple[WeakFit, AutoregressiveNoise]:
+    """The model fitted with autoregressive noise, estimated from what it leaves.
 
     Commands in a closed loop answer the disturbance, and so does the motion. Estimates are consistent if what
     remains is independent of the past (Ljung 1999, chapter 13).
@@ -99,11 +99,11 @@ def predicting_past(fit: WeakFit) -> tuple[WeakFit, OneStepPrediction]:
     lengths = np.cumsum([s.functions.count for s in fit.data.segments])[:-1]
     r = fit.at.r
     for _ in range(SETTINGS.noise_rounds):
-        prediction = OneStepPrediction.of(np.split(r.reshape(-1, rows), lengths))
-        noise = [w.predicting(prediction) for w in plain]
-        fit = _gauss_newton(fit.model, fit.p, fit.data, noise, fit.disturbance, SETTINGS.most_steps)
+        noise = AutoregressiveNoise.of(np.split(r.reshape(-1, rows), lengths))
+        whitening = [w.with_autoregressive(noise) for w in plain]
+        fit = _gauss_newton(fit.model, fit.p, fit.data, whitening, fit.disturbance, SETTINGS.most_steps)
         r = whitened(fit.model.linearise(fit.data, fit.p), plain).r
-    return fit, prediction
+    return fit, noise
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:

@@ -17,14 +17,14 @@ from .test_functions import TestFunctions, solved
 
 
 @dataclass(frozen=True)
-class PredictionSettings:
+class AutoregressionSettings:
     """Settings of autoregressive models of whitened residuals."""
 
     most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
     rows_per_coefficient: int = 10  # residuals of an equation for each of its coefficients
 
 
-PREDICTION = PredictionSettings()
+AUTOREGRESSION = AutoregressionSettings()
 
 
 def banded(matrix: csr_array) -> Array:
@@ -54,20 +54,22 @@ def unbanded(bands: Array) -> csr_array:
 
 
 @dataclass(frozen=True)
-class OneStepPrediction:
-    """What the whitened residuals of all equations predict of the next ones: a vector autoregressive model.
+class AutoregressiveNoise:
+    """A vector autoregressive model of the whitened residuals of all equations.
+
+    statsmodels fits one to a single series without gaps; here all segments are fitted together.
 
     coefficients: (order, e, e), of each of e equations in all of them, the nearest residuals first.
-    scale: (e,), rms of the prediction errors.
+    scale: (e,), rms of the innovations.
     """
 
     coefficients: Array
     scale: Array
 
     @classmethod
-    def of(cls, tables: Sequence[Array]) -> OneStepPrediction:
+    def of(cls, tables: Sequence[Array]) -> AutoregressiveNoise:
         """From whitened residuals, a table (K, e) for each segment."""
-        most, size = PREDICTION.most_order, tables[0].shape[1]
+        most, size = AUTOREGRESSION.most_order, tables[0].shape[1]
         pieces = [
             np.lib.stride_tricks.sliding_window_view(t, most + 1, axis=0) for t in tables if len(t) > most
         ]
@@ -76,7 +78,7 @@ class OneStepPrediction:
         count, least = len(rows), np.inf
         found = cls(np.zeros((0, size, size)), np.ones(size))
         for order in range(most + 1):
-            if count < PREDICTION.rows_per_coefficient * order * size + 1:
+            if count < AUTOREGRESSION.rows_per_coefficient * order * size + 1:
                 break
             known = past[:, :order].reshape(count, -1)
             c = np.linalg.lstsq(known, now, rcond=None)[0]
@@ -90,11 +92,11 @@ class OneStepPrediction:
 
     @property
     def order(self) -> int:
-        """How many residuals a prediction needs."""
+        """How many residuals before it a prediction of the next one needs."""
         return len(self.coefficients)
 
-    def errors(self, table: Array) -> Array:
-        """Prediction errors of the rows (m, k) of one segment, of unit variance; zero for the first ones."""
+    def innovations(self, table: Array) -> Array:
+        """One-step prediction errors of rows (m, k) in a segment, variance one; the first are zero."""
         rows = table.reshape(-1, len(self.scale), table.shape[1])
         found = rows.copy()
         for lag, c in enumerate(self.coefficients, start=1):
@@ -114,7 +116,7 @@ class Whitening:
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
         self._bands = covariance, overlap
-        self._prediction: OneStepPrediction | None = None
+        self._autoregression: AutoregressiveNoise | None = None
         self._factorise(intensity)
 
     def _factorise(self, intensity: Array) -> None:
@@ -144,14 +146,14 @@ class Whitening:
         """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
         table = np.asarray(right)
         found = solved(self._factor, table.reshape(len(table), -1))
-        if self._prediction is not None:
-            found = self._prediction.errors(found)
+        if self._autoregression is not None:
+            found = self._autoregression.innovations(found)
         return found.reshape(table.shape)
 
-    def predicting(self, prediction: OneStepPrediction) -> Whitening:
+    def with_autoregressive(self, noise: AutoregressiveNoise) -> Whitening:
         """The same less what the residuals before predict of each one."""
         other = copy(self)
-        other._prediction = prediction
+        other._autoregression = noise
         return other
 
     def noise_sample(self, rng: np.random.Generator) -> Array:

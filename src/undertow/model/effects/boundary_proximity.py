@@ -38,12 +38,12 @@ class BoundaryProximity(Wrench):
     dissipative = True
 
     boundary_rise = Parameter("1", "relative increase of the damping at the boundary", (0, inf))
-    fade_N = Parameter.sought(
+    fade_N = Parameter.with_starts(
         "1/m", "decay of that increase away from it, north part", (-50, 50), (0, 1), without_log="altitude"
     )
-    fade_E = Parameter.sought("1/m", "east part", (-50, 50), (0, 1), without_log="altitude")
-    fade_D = Parameter.sought("1/m", "downward part", (-50, 50), (0, 1))
-    fade_0 = Parameter.sought(
+    fade_E = Parameter.with_starts("1/m", "east part", (-50, 50), (0, 1), without_log="altitude")
+    fade_D = Parameter.with_starts("1/m", "downward part", (-50, 50), (0, 1))
+    fade_0 = Parameter.with_starts(
         "1", "decay lengths from the NED origin to it", (-1e4, 1e4), (1, 10), without_log="altitude"
     )
     altitude = LoggedOnly("m", "distance from the bottom, as an echo sounder has it")

@@ -37,21 +37,21 @@ class ControlSurfaces(Wrench):
         within=2 * pi,  # that of a thin wing without ends; beyond it a rudder stands in for the hull's lift
     )
     C_D = PerSurface("1", "drag coefficient at zero angle", (0, inf))
-    wake = PerSurface.known("1", "wake fraction of the speed ahead", (-1, 1), 0.0)
-    straightening = PerSurface.known(
+    wake = PerSurface.with_default("1", "wake fraction of the speed ahead", (-1, 1), 0.0)
+    straightening = PerSurface.with_default(
         "1", "flow straightening: share of the transverse flow that remains", (0, 2), 1.0
     )
-    flow_lever = PerSurface.known(
+    flow_lever = PerSurface.with_default(
         "1", "lever of the turning rate in the transverse flow, over the geometric lever", (0, 4), 1.0
     )
-    in_slipstream = PerSurface.known("1", "share of the area in the slipstream", (0, 1), 1.0)
-    slipstream = PerSurface.known(
+    in_slipstream = PerSurface.with_default("1", "share of the area in the slipstream", (0, 1), 1.0)
+    slipstream = PerSurface.with_default(
         "1", "velocity increase at the surface over that far behind the propeller", (0, 1.5), 0.5
     )
-    a_H = PerSurface.known("1", "transverse force on the hull per force of the surface", (0, 2), 0.0)
-    x_H = PerSurface.known("m", "where the force on the hull acts, forward", (-200, 200), 0.0)
-    t_R = PerSurface.known("1", "share of the steering drag recovered by the hull", (0, 1), 0.0)
-    flow_least = Parameter.known("m/s", "speed below which the force fades", (1e-9, 1.0), 1e-6)
+    a_H = PerSurface.with_default("1", "transverse force on the hull per force of the surface", (0, 2), 0.0)
+    x_H = PerSurface.with_default("m", "where the force on the hull acts, forward", (-200, 200), 0.0)
+    t_R = PerSurface.with_default("1", "share of the steering drag recovered by the hull", (0, 1), 0.0)
+    flow_least = Parameter.with_default("m/s", "speed below which the force fades", (1e-9, 1.0), 1e-6)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         total = sm.zeros(6, 1)

@@ -29,8 +29,8 @@ class CrossflowDrag(Wrench):
 
     T_cross = Parameter("m", "drag coefficient times mean draught (height of the side)", (0, inf))
     B_cross = Parameter("m", "drag coefficient times mean beam (width of the bottom)", (0, inf))
-    L_cross = Parameter.sought("m", "length of the hull", (0.05, 500.0), (0.4, 1.5, 6.0, 30.0, 150.0))
-    x_cross = Parameter.sought("m", "middle of the length, forward", (-100.0, 100.0), (0.0,), arm_of="1")
+    L_cross = Parameter.with_starts("m", "length of the hull", (0.05, 500.0), (0.4, 1.5, 6.0, 30.0, 150.0))
+    x_cross = Parameter.with_starts("m", "middle of the length, forward", (-100.0, 100.0), (0.0,), arm_of="1")
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:

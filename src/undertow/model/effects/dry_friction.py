@@ -9,7 +9,7 @@ from undertow.model.effect import DIAGONAL, VELOCITY, DerivativeMatrix, Paramete
 
 def _width(unit: str, description: str) -> Parameter:
     """How narrow the smoothed sign is; it is searched for, and does nothing without friction."""
-    return Parameter.known(unit, description, (1e-4, 0.1), 0.02, starts=(0.005, 0.04), step_width=True)
+    return Parameter.with_default(unit, description, (1e-4, 0.1), 0.02, starts=(0.005, 0.04), step_width=True)
 
 
 class DryFriction(Wrench):

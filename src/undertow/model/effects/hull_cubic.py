@@ -35,7 +35,7 @@ class HullCubic(Wrench):
     N_vvr_per_U = Parameter("N m/(m/s)/(rad/s)", "yaw moment per v^2 r/U")
     N_vrr_per_U = Parameter("N m/(rad/s)^2", "yaw moment per v r^2/U")
     N_rrr_per_U = Parameter("N m (m/s)/(rad/s)^3", "yaw moment per r^3/U")
-    U_fade = Parameter.known("m/s", "speed below which the terms fade", (1e-3, 10.0), 0.05)
+    U_fade = Parameter.with_default("m/s", "speed below which the terms fade", (1e-3, 10.0), 0.05)
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:

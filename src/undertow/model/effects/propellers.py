@@ -24,8 +24,8 @@ class Propellers(Wrench):
 
     K_T0 = PerThruster("1", "thrust coefficient at rest", (0, inf))
     K_T1 = PerThruster("1", "change of the thrust coefficient with the advance ratio", (-inf, 0))
-    wake_fraction = PerThruster.known("1", "wake fraction of the speed ahead", (-1, 1), 0.0)
-    thrust_deduction = PerThruster.known(
+    wake_fraction = PerThruster.with_default("1", "wake fraction of the speed ahead", (-1, 1), 0.0)
+    thrust_deduction = PerThruster.with_default(
         "1", "share of the thrust lost to added drag of the hull", (-1, 1), 0.0
     )
 

@@ -20,7 +20,7 @@ class RadiationMemory(Wrench):
     coefficients = DerivativeMatrix(
         "{F}_mem{m}", ("m", "rad"), DIAGONAL, "{force} per remembered {motion} displacement"
     )
-    T_memory = Parameter.sought("s", "time constant of the memory", (0.05, 200.0), (0.5, 2.0, 8.0))
+    T_memory = Parameter.with_starts("s", "time constant of the memory", (0.05, 200.0), (0.5, 2.0, 8.0))
 
     states = tuple(f"memory_{v}" for v in VELOCITY)
     state_units = ("m",) * 3 + ("rad",) * 3

@@ -21,7 +21,7 @@ class ReactionTorque(Wrench):
     requires = ("thrusters",)
 
     d_reaction = Parameter("m", "moment about the thruster's axis per thrust", (-1, 1))
-    hand = PerThruster.known("1", "sense of rotation, 1 or -1", (-1, 1), 1.0)
+    hand = PerThruster.with_default("1", "sense of rotation, 1 or -1", (-1, 1), 1.0)
 
     def wrench(self, s: Signals) -> sm.Matrix:
         thrust = thrust_of(self, s)

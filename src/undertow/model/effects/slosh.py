@@ -34,7 +34,7 @@ class Slosh(Wrench):
         starts=(0.4, 0.5, 0.63, 0.8, 1, 1.25, 1.6, 2, 2.5, 3.2, 4, 5, 6.3),  # a resonance is narrow
         neutral=None,
     )
-    slosh_damping = Parameter.sought("1", "its damping ratio", (0.01, 0.7), (0.1,))
+    slosh_damping = Parameter.with_starts("1", "its damping ratio", (0.01, 0.7), (0.1,))
     states = ("slosh_x", "slosh_y", "slosh_u", "slosh_v")
     state_units = ("m", "m", "m/s", "m/s")
 

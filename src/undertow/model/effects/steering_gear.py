@@ -19,8 +19,8 @@ class SteeringGear(Actuation):
     of_surfaces = True
     requires = ("control_surfaces",)
 
-    lag = PerSurface.known("s", "time constant", (0.005, 60.0), 0.1, starts=(0.2, 1.0))
-    rate = PerSurface.known("rad/s", "largest rate of turn", (1e-4, 100.0), 10.0, starts=(0.05, 0.5))
+    lag = PerSurface.with_default("s", "time constant", (0.005, 60.0), 0.1, starts=(0.2, 1.0))
+    rate = PerSurface.with_default("rad/s", "largest rate of turn", (1e-4, 100.0), 10.0, starts=(0.05, 0.5))
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ class SupplyDroop(Actuation):
         (0, 10),
         with_log="voltage",
     )
-    voltage_nominal = Parameter.sought(
+    voltage_nominal = Parameter.with_starts(
         "V", "voltage at which thrust is as stated", (0.1, 1e5), (12.0, 24.0, 48.0), with_log="voltage"
     )
 

@@ -35,10 +35,10 @@ class TetherDrag(Wrench):
     winch = Place("winch", "where the tether comes from", "ned", 1e3, without_log="tether_length")
     tether_length = LoggedOnly("m", "length of the tether that is out", (0, math.inf))
     tail = Place("tail", "attachment on the vehicle", "body", 200)
-    length_least = Parameter.known(
+    length_least = Parameter.with_default(
         "m", "tether that is out at the winch", (1e-9, 1e3), 1e-6, without_log="tether_length"
     )
-    speed_least = Parameter.known("m/s", "speed below which the drag fades", (1e-9, 1.0), 1e-6)
+    speed_least = Parameter.with_default("m/s", "speed below which the drag fades", (1e-9, 1.0), 1e-6)
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

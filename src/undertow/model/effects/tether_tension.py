@@ -27,10 +27,10 @@ class TetherTension(Wrench):
     signature = "beyond some distance the vehicle is pulled back to one place, harder the farther it goes"
 
     k_tension = Parameter("N/m", "stiffness of the tether", (0, math.inf))
-    L_slack = Parameter.sought("m", "length up to which it is slack", (0, 1e4), (0, 3, 10))
+    L_slack = Parameter.with_starts("m", "length up to which it is slack", (0, 1e4), (0, 3, 10))
     anchor = Place("anchor", "where it is made fast, less the attachment", "ned", 1.1e4)
     eye = Place("eye", "attachment on the vehicle", "body", 200)
-    span_least = Parameter.known("m", "distance below which its pull fades", (1e-9, 1.0), 1e-6)
+    span_least = Parameter.with_default("m", "distance below which its pull fades", (1e-9, 1.0), 1e-6)
 
     @classmethod
     def starts_near(cls, seen: Mapping[str, tuple[float, float]]) -> list[dict[str, float]]:

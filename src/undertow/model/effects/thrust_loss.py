@@ -28,7 +28,9 @@ class ThrustLoss(Wrench):
     inflow_length = Parameter(
         "m", "propeller diameter times K_1 / sqrt(K_0), often near the diameter", (0, inf)
     )
-    inflow_least = Parameter.known("N", "thrust below which the root is rounded off", (1e-9, 1e3), 1e-3)
+    inflow_least = Parameter.with_default(
+        "N", "thrust below which the root is rounded off", (1e-9, 1e3), 1e-3
+    )
 
     def wrench(self, s: Signals) -> sm.Matrix:
         return -self.inflow_length * self.allocation * self._lost

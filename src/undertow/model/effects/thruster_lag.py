@@ -13,7 +13,7 @@ class ThrusterLag(Actuation):
     signature = "the vehicle responds smoothly and late to a step of thrust, with the right final speed"
     stage = 40
 
-    T_lag = Parameter.sought("s", "time constant", (0.01, 20.0), (0.1, 0.4, 1.5))
+    T_lag = Parameter.with_starts("s", "time constant", (0.01, 20.0), (0.1, 0.4, 1.5))
 
     @property
     def states(self) -> tuple[str, ...]:

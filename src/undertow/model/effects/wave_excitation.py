@@ -76,8 +76,8 @@ class WaveExcitation(Wrench):
     swell_sin = Parameter(
         "m", "elevation a quarter period before", (-20, 20), linear=False, default=0.0, per_run=True
     )
-    swell_frequency = Parameter.known("rad/s", "angular frequency", (0.05, 60.0), 1.0)
-    swell_direction = Parameter.known("rad", "where it travels, from north to east", (-7, 7), 0.0)
+    swell_frequency = Parameter.with_default("rad/s", "angular frequency", (0.05, 60.0), 1.0)
+    swell_direction = Parameter.with_default("rad", "where it travels, from north to east", (-7, 7), 0.0)
     in_phase = Headings("m", "per elevation", (-inf, inf), pattern="{F}_swell{n}")
     ahead = Headings("m", "per elevation a quarter period before", (-inf, inf), pattern="{F}_swellq{n}")
     drift = Headings(

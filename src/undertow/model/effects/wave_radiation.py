@@ -19,7 +19,7 @@ def _time(motion: str) -> Parameter:
 
 
 def _of_kernel(unit: str, meaning: str) -> Parameter:
-    return Parameter.known(unit, meaning, (1e-3, 200.0), 1.0)
+    return Parameter.with_default(unit, meaning, (1e-3, 200.0), 1.0)
 
 
 class WaveRadiation(Wrench):

@@ -33,10 +33,10 @@ class Waves(Flow, Wrench):
     wave_sin = Parameter(
         "m", "elevation a quarter period before", (-20, 20), linear=False, starts=(0.0,), per_run=True
     )
-    wave_frequency = Parameter.sought(
+    wave_frequency = Parameter.with_starts(
         "rad/s", "angular frequency", (0.05, 15.0), tuple(round(0.66 + 0.075 * i, 3) for i in range(15))
     )
-    wave_direction = Parameter.sought(
+    wave_direction = Parameter.with_starts(
         "rad", "where it travels, from north to east", (-7, 7), (-2.36, -0.79, 0.79, 2.36), per_run=True
     )
 

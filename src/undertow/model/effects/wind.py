@@ -37,7 +37,7 @@ class Wind(Wrench):
     moment_wind = Parameter(
         "m^3", "yaw moment coefficient (of the sine of twice the angle) times lateral area and length"
     )
-    wind_from = Parameter.sought(
+    wind_from = Parameter.with_starts(
         "rad",
         "wind direction (where it comes from), from north clockwise",
         (-7, 7),
@@ -45,7 +45,7 @@ class Wind(Wrench):
         logged=True,
         without_log="apparent_wind_speed",
     )
-    wind_speed = Parameter.known(
+    wind_speed = Parameter.with_default(
         "m/s",
         "speed of the wind over ground",
         (0, 100),
@@ -57,12 +57,12 @@ class Wind(Wrench):
     apparent_wind_angle = LoggedOnly(
         "rad", "apparent wind direction, from the bow to starboard", with_log="apparent_wind_speed"
     )
-    air_density = Parameter.known("kg/m^3", "density of the air", (0.5, 2), _DENSITY)
-    wind_least = Parameter.known(
+    air_density = Parameter.with_default("kg/m^3", "density of the air", (0.5, 2), _DENSITY)
+    wind_least = Parameter.with_default(
         "m/s", "speed below which the force fades", (1e-9, 1.0), 1e-3, with_log="wind_speed"
     )
-    x_wind = Parameter.sought("m", "where it acts, forward", (-200, 200), (0,), arm_of="1")
-    z_wind = Parameter.sought("m", "where it acts, down", (-100, 10), (0,), arm_of="1")
+    x_wind = Parameter.with_starts("m", "where it acts, forward", (-200, 200), (0,), arm_of="1")
+    z_wind = Parameter.with_starts("m", "where it acts, down", (-100, 10), (0,), arm_of="1")
 
     @classmethod
     def suits(cls, dofs: tuple[str, ...]) -> bool:
