@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -15,6 +16,7 @@ from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import (
     FoundEffect,
     compare_scores,
+    p_value_by_prediction_error,
     p_value_in_autoregressive_noise,
 )
 from undertow.identification.diagnosis.grading import feedback_doubt
@@ -51,37 +53,42 @@ limit = "40 N"
 """
 
 
-def _run(seed: int, dead: float, *, held: bool) -> Run:
+def _run(seed: int, dead: float, *, held: bool, logged: bool = False) -> Run:
     """A vehicle in a slow disturbance; it is held in place, or driven by steps of the command.
 
-    dead: dead band of the thruster, N.
+    dead: dead band of the thruster, N. logged: whether the controller knows no more than the log.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, SECONDS, STEP)
     x, u, d = np.zeros((3, len(t)))
     command = np.repeat(rng.uniform(-6.0, 6.0, len(t) // 30 + 1), 30)[: len(t)]
+    noise = np.array([[0.01], [0.005]]) * rng.standard_normal((2, len(t)))
     stay = np.exp(-STEP / LASTING)
     for i in range(len(t) - 1):
         if held:
-            command[i] = np.clip(-30.0 * x[i] - 40.0 * u[i], -40.0, 40.0)
+            at, rate = np.array([x[i], u[i]]) + logged * noise[:, i]
+            command[i] = np.clip(-30.0 * at - 40.0 * rate, -40.0, 40.0)
         thrust = np.sign(command[i]) * max(abs(command[i]) - dead, 0.0)
         u[i + 1] = u[i] + STEP / MASS * (thrust + d[i] - DRAG * u[i])
         x[i + 1] = x[i] + STEP * 0.5 * (u[i] + u[i + 1])
         d[i + 1] = stay * d[i] + RMS * np.sqrt(1.0 - stay**2) * rng.standard_normal()
-    noise = rng.standard_normal((2, len(t)))
-    channels = {"x": x + 0.01 * noise[0], "u": u + 0.005 * noise[1], "jet": command}
+    channels = {"x": x + noise[0], "u": u + noise[1], "jet": command}
     return Run(f"{seed}", t, channels, sha256=f"{seed}")
 
 
 @cache
 def _dead_band(dead: float, *, held: bool) -> tuple[FoundEffect, Bench]:
     """The dead band as a candidate for a model that has none."""
+    return _candidate("thruster_deadband", [_run(seed, dead, held=held) for seed in range(6)], 2.0)
+
+
+def _candidate(effect: str, runs: Sequence[Run], value: float) -> tuple[FoundEffect, Bench]:
+    """An effect fitted to half of the runs, from this value."""
     vehicle = loaded(VEHICLE)
-    runs = [_run(seed, dead, held=held) for seed in range(6)]
     train = prepare(runs[:3], vehicle)
     bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
-    candidate = Candidate(catalogue()["thruster_deadband"], vehicle)
-    start = bench.base.values | {p.name: 2.0 for p in candidate.parameters}
+    candidate = Candidate(catalogue()[effect], vehicle)
+    start = bench.base.values | {p.name: value for p in candidate.parameters}
     return FoundEffect(try_candidate(candidate, bench, start), *NO_EVIDENCE), bench
 
 
@@ -94,19 +101,39 @@ def test_a_controller_that_opposes_a_disturbance_looks_like_a_dead_band() -> Non
     assert "oppose a disturbance" in feedback_doubt(finding, bench, among=1)
 
 
+@cache
+def _delay() -> tuple[FoundEffect, Bench]:
+    """A delay as a candidate, where none is missing, and a controller knows what is logged."""
+    return _candidate("actuation_delay", [_run(seed, 0.0, held=True, logged=True) for seed in range(6)], 0.3)
+
+
+def test_a_controller_that_opposes_a_disturbance_looks_like_a_delay() -> None:
+    """Within a test function, commands answer the force; one-step predictions do not use what comes later."""
+    finding, bench = _delay()
+    assert p_value_in_autoregressive_noise(finding, bench) < 1e-6
+    assert p_value_by_prediction_error(finding, bench) > 0.1
+    assert "oppose a disturbance" in feedback_doubt(finding, bench, among=1)
+
+
+def test_inertia_is_found_with_process_noise() -> None:
+    """Without, thrust that does not move a vehicle is thrust on a much heavier one."""
+    _, bench = _delay()
+    assert bench.base.values["X_udot"] < -60.0
+    assert bench.base_by_prediction_error.values["X_udot"] == pytest.approx(-6.0, abs=2.0)
+
+
 def test_inertia_and_drag_are_found_under_autoregressive_noise() -> None:
-    """Under white noise, thrust that does not move a vehicle is thrust on a much heavier one."""
     _, bench = _dead_band(0.0, held=True)
     white, coloured = (-b.base.values["X_udot"] for b in (bench, bench.autoregressive))
     assert white > 60.0
     assert coloured < 0.5 * white
 
 
-def test_a_dead_band_shows_under_autoregressive_noise() -> None:
-    finding, bench = _dead_band(2.5, held=False)
-    assert finding.trial.fit.values["deadband_width"] == pytest.approx(2.5, rel=0.25)
-    assert p_value_in_autoregressive_noise(finding, bench) < 3e-4
-    assert feedback_doubt(finding, bench, among=30) == ""
+def test_a_dead_band_shows_with_a_disturbance_in_the_model() -> None:
+    finding, bench = _dead_band(4.0, held=False)
+    assert finding.trial.fit.values["deadband_width"] == pytest.approx(4.0, rel=0.25)
+    assert p_value_by_prediction_error(finding, bench) < 3e-4
+    assert feedback_doubt(finding, bench, among=5) == ""
 
 
 def test_what_makes_a_vehicle_respond_less_is_no_better_prediction() -> None:

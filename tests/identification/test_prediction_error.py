@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -127,3 +129,9 @@ def test_what_it_cannot_follow_is_reported() -> None:
     long = Run("long", t, {"u": np.sin(t), "tau_X": np.cos(t)})
     with pytest.raises(UndertowError, match="at most 60000"):
         fit_prediction_error(VEHICLE, [long])
+
+
+def test_a_model_that_diverges_is_refused_in_words() -> None:
+    unstable = replace(VEHICLE.value_of("X_u"), value=2e6, estimate=False)
+    with pytest.raises(UndertowError, match="diverges with the initial parameter values"):
+        fit_prediction_error(VEHICLE.with_values({"X_u": unstable}), [logged(0, "none")])

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from undertow.codegen.functions import Functions
 from undertow.identification.estimation.data import WeakData, group_numbers
 from undertow.identification.estimation.fitted import Fitted, stated_by_run
+from undertow.identification.estimation.prediction_error import (
+    PredictionErrorFit,
+    refit_by_prediction_error,
+)
 from undertow.identification.estimation.residual import (
     Linearised,
     WeakModel,
@@ -204,6 +208,11 @@ class Bench:
         base, noise = with_autoregressive_noise(self.base)
         test = [w.with_autoregressive(noise) for w in self.test_whitening]
         return replace(self, train_whitening=base.whitening, test_whitening=test, base=base)
+
+    @cached_property
+    def base_by_prediction_error(self) -> PredictionErrorFit:
+        """The model without any candidate, fitted to the training data with process noise."""
+        return refit_by_prediction_error(self.base, self.train.runs)
 
     def without_disturbance(self) -> Bench:
         """The bench under sensor noise alone."""

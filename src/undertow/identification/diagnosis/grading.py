@@ -31,7 +31,7 @@ from .evidence import (
     fitted,
     inclusion,
     linearised,
-    p_value_in_autoregressive_noise,
+    p_value_beyond_feedback,
     reconciles_sensors,
     reduced_to_same_force,
 )
@@ -91,17 +91,17 @@ def slow_disturbance_doubt(finding: FoundEffect, settings: Settings = DEFAULT) -
 def feedback_doubt(finding: FoundEffect, bench: Bench, among: int) -> str:
     """That an effect of the commands may be the response of a controller, in words; empty if not.
 
-    Commands in a closed loop oppose the disturbance, and look like thrust that is lost or late. The
-    disturbance itself can be predicted from its past. The effect is the best of so many candidates.
+    Commands in a closed loop oppose the disturbance, and look like thrust that is lost or late. The effect is
+    the best of so many candidates.
     """
     if finding.trial.candidate.effect.family != "actuation":
         return ""
-    chance = min(1.0, among * p_value_in_autoregressive_noise(finding, bench))
+    chance = min(1.0, among * p_value_beyond_feedback(finding, bench))
     if chance < bench.settings.false_alarm_rate:
         return ""
     return (
-        "commands that oppose a disturbance look like this: with autoregressive noise in the model, it "
-        f"explains no more than chance (p = {chance:.2g})"
+        "commands that oppose a disturbance look like this: with a disturbance in the model that its past "
+        f"predicts, it explains no more than chance (p = {chance:.2g})"
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from .residual import Linearised, WeakModel
 from .shooting import OneRun, Shooting
 from .step import Constraints, SearchSpace, require_rows, squared
 from .weak_form import free_parameters, mean_square_by
+from .whitening import AutoregressiveNoise
 from .windows import Windows, cut_by_samples
 
 
@@ -176,7 +178,7 @@ class Filtered:
     table: Array  # (m, 1 + n_free) whitened innovations with their derivatives
     window: Index  # (m,) where each of them is from
     channel: Index
-    log_determinant: float  # Sum of the logarithms of the innovations' variances
+    log_variance: Array  # (m,) logarithms of the innovations' variances
     # list of (array, array): State (3n, 1 + n_free) and its covariance, before and after each window's
     # samples are seen
     predicted: list[tuple[Array, Array]]
@@ -189,8 +191,9 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
     `last` (b,) marks windows at the end of a segment; `seconds` (b,) is the length of each.
     """
     columns, size = linear.defect.shape[2], linear.defect.shape[1]
-    rows, windows, channels, predicted, updated = [], [], [], [], []
-    logarithm, segment_start = 0.0, True
+    channel_of = np.tile(np.arange(linear.used.shape[2]), linear.used.shape[1])
+    rows, logarithms, windows, channels, predicted, updated = [], [], [], [], [], []
+    segment_start = True
     mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
     for j in range(len(linear.defect)):
         if segment_start:
@@ -198,14 +201,14 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
         predicted.append((mean, spread))
         used = linear.used[j].ravel()
         H = linear.by_start[j].reshape(-1, size)[used]
-        channel = np.tile(np.arange(linear.used.shape[2]), linear.used.shape[1])[used]
+        channel = channel_of[used]
         innovation = linear.error[j].reshape(-1, columns)[used] + H @ mean
         across = H @ spread
         factor = np.linalg.cholesky(across @ H.T + np.diag(noise.variance[channel]))
         white = np.linalg.solve(factor, np.column_stack([innovation, across]))
         mean = mean - white[:, columns:].T @ white[:, :columns]
         spread = _symmetric(spread - white[:, columns:].T @ white[:, columns:])
-        logarithm += 2.0 * float(np.sum(np.log(np.diag(factor))))
+        logarithms.append(2.0 * np.log(np.diag(factor)))
         updated.append((mean, spread))
         rows.append(white[:, :columns])
         windows.append(np.full(len(channel), j))
@@ -214,7 +217,7 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
         F = linear.by_end[j]
         mean = linear.defect[j] + F @ mean
         spread = _symmetric(F @ spread @ F.T) + np.diag(noise.intensity * seconds[j])
-    table, window, channel = (np.concatenate(part) for part in (rows, windows, channels))
+    table, window, channel, logarithm = map(np.concatenate, (rows, windows, channels, logarithms))
     return Filtered(table, window, channel, logarithm, predicted, updated)
 
 
@@ -281,6 +284,7 @@ class PredictionErrorSettings:
 
     intervals: int = 2  # sampling intervals in a window: process noise acts between windows
     most_samples: int = 60_000
+    quick_windows: int = 3000  # of a fit that only compares models: 10 to 30 s
     most_steps: int = 60
     # Predicted fall of the sum of squares, and change of minus twice the log likelihood, with which a search
     # ends.
@@ -300,6 +304,7 @@ class PredictionErrorSettings:
     # Time over which slow and white process noise do the same before anything is known of them, s.
     slow_seconds: float = 3.0
     block: float = 5.0  # length of segments of innovations that count as independent, s
+    innovation_order: int = 20  # most of an autoregressive model of innovations; waves need a few in a period
 
 
 SETTINGS = PredictionErrorSettings()
@@ -337,11 +342,32 @@ class PredictionErrorFit(Fitted):
         covariance where innovations are correlated.
         """
         table = self.innovations.table
+        return clustered(self.information, summed_scores(table[:, 0], table[:, 1:], self._block))
+
+    @cached_property
+    def _block(self) -> Index:
+        """(m,) block of time of each innovation."""
         t = self.windows.t[self.innovations.window, 0]
         run = self.windows.run[self.innovations.window]
-        block = blocks_of_time(t - t.min(initial=0.0), SETTINGS.block, run)
-        scores = summed_scores(table[:, 0], table[:, 1:], block)
-        return clustered(self.information, scores)
+        return blocks_of_time(t - t.min(initial=0.0), SETTINGS.block, run)
+
+    @cached_property
+    def deviance(self) -> Array:
+        """(blocks,) minus twice the log likelihood, but for a constant, of every block of time.
+
+        An autoregressive model of each channel predicts what the noise model lacks, such as waves.
+        """
+        errors, order = self.innovations, SETTINGS.innovation_order
+        run, terms = self.windows.run[errors.window], np.zeros(len(errors.table))
+        for channel in np.unique(errors.channel):
+            own = errors.channel == channel
+            places = [np.flatnonzero(own & (run == k)) for k in np.unique(run)]
+            tables = [errors.table[place, :1] for place in places]
+            noise = AutoregressiveNoise.of(tables, order)
+            for place, table in zip(places, tables, strict=True):
+                square = noise.innovations(table)[:, 0] ** 2 + 2.0 * np.log(noise.scale[0])
+                terms[place[order:]] = (square + errors.log_variance[place])[order:]
+        return np.bincount(self._block, terms).astype(float)
 
     @property
     def disturbance(self) -> dict[str, float]:
@@ -384,15 +410,38 @@ def fit_prediction_error(
     progress(0.0, "weak-form fit")
     model, start = weak_start(constraints.model(vehicle, names), runs, None)
     p = physical_start(model, start)
-    windows = cut_by_samples(runs, vehicle, SETTINGS.intervals)
+    chained = _chained(model, runs, SETTINGS.intervals)
+    require_rows(model, _informative_samples(chained), runs, "prediction-error")
+    return _Search(model, chained, progress).fit(p)
+
+
+def refit_by_prediction_error(
+    fit: Fitted, runs: Sequence[Run], near: PredictionErrorFit | None = None
+) -> PredictionErrorFit:
+    """A model that was fitted to the same runs, fitted by prediction error from the values that it has.
+
+    Windows may be longer than usual, so that it takes seconds. `near` is a similar model on these runs, whose
+    noise and motion begin the search.
+    """
+    model, samples = fit.model, sum(len(run.t) for run in runs)
+    intervals = max(SETTINGS.intervals, ceil(samples / SETTINGS.quick_windows))
+    search = _Search(model, _chained(model, runs, intervals), lambda done, words: None)
+    if near is None:
+        return search.fit(fit.p)
+    shared = {n: v for n, v in near.values.items() if n in model.free}
+    return search.fit(physical_start(model, fit.values | shared), near.starts, near.noise)
+
+
+def _chained(model: WeakModel, runs: Sequence[Run], intervals: int) -> ChainedWindows:
+    vehicle = model.functions.vehicle
+    windows = cut_by_samples(runs, vehicle, intervals)
     chained = ChainedWindows(model.functions, _without_derived(windows), model.free)
     if chained.has_sensor_delay:
         raise UndertowError(
             f"vehicle '{vehicle.name}' has a delayed sensor, which prediction error cannot handle: use "
             "--method output-error, or shift the channel in the log"
         )
-    require_rows(model, _informative_samples(chained), runs, "prediction-error")
-    return _Search(model, chained, progress).fit(p)
+    return chained
 
 
 def _informative_samples(chained: ChainedWindows) -> int:
@@ -463,10 +512,11 @@ class _Search:
         drift = np.sqrt(noise.intensity[size:] * length)
         return replace(noise, initial_std=np.concatenate([noise.initial_std[:size], drift]))
 
-    def fit(self, p: Array) -> PredictionErrorFit:
+    def fit(self, p: Array, starts: Array | None = None, noise: Noise | None = None) -> PredictionErrorFit:
         """Alternate steps and noise until neither changes."""
-        state = self._at(p, self._chained.measured_starts(p))
-        if not np.isfinite(state.innovations.table).all():
+        self._noise = self._noise if noise is None else noise
+        state = self._at(p, self._chained.measured_starts(p) if starts is None else starts)
+        if state is None:
             raise UndertowError(
                 "the simulation diverges with the initial parameter values: give better values"
             )
@@ -485,9 +535,15 @@ class _Search:
             self.model, state.p, self._chained.windows, state.starts, *passes, self._noise, iteration
         )
 
-    def _at(self, p: Array, starts: Array) -> _State:
+    def _at(self, p: Array, starts: Array) -> _State | None:
+        """The state at parameters and starts; None where the simulation diverges."""
         linear = self._chained.linearise(p, starts)
-        return _State(p, starts, linear, self._filtered(linear, self._noise))
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                innovations = self._filtered(linear, self._noise)
+        except np.linalg.LinAlgError:  # no covariance is finite there
+            return None
+        return _State(p, starts, linear, innovations) if np.isfinite(innovations.table).all() else None
 
     def _filtered(self, linear: LinearWindows, noise: Noise) -> Filtered:
         return filtered(linear, self._chained.last, self._seconds, noise)
@@ -499,11 +555,11 @@ class _Search:
         predicted = squared(r) - squared(r + J @ step)
         limit = self._cost(state) + SETTINGS.least_fall
         tried = (self._after_step(share * step, state, smooth) for share in SETTINGS.shares)
-        found = next((after for after in tried if self._cost(after) <= limit), None)
+        found = next((after for after in tried if after is not None and self._cost(after) <= limit), None)
         return (state, 0.0) if found is None else (found, predicted)
 
-    def _after_step(self, step: Array, state: _State, smooth: Smoothed) -> _State:
-        """The state after a step of the parameters and the smoothed change of the starts with it."""
+    def _after_step(self, step: Array, state: _State, smooth: Smoothed) -> _State | None:
+        """The state after a step of the parameters and the smoothed change of the starts with it, if any."""
         motion = smooth.motion[..., 0] + smooth.motion[..., 1:] @ step
         return self._at(
             self._space.after_step(state.p, step), state.starts + motion[:, : state.starts.shape[1]]
@@ -511,8 +567,9 @@ class _Search:
 
     def _cost(self, state: _State) -> float:
         """The cost to be minimised by the parameters at fixed noise."""
-        squares = squared(state.innovations.table[:, 0]) + state.innovations.log_determinant
-        cost = self._space.cost(state.p, squares)
+        innovations = state.innovations
+        deviance = squared(innovations.table[:, 0]) + float(np.sum(innovations.log_variance))
+        cost = self._space.cost(state.p, deviance)
         return cost if np.isfinite(cost) else np.inf
 
     def _update_noise(self, smooth: Smoothed) -> None:

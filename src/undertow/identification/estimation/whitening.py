@@ -67,9 +67,9 @@ class AutoregressiveNoise:
     scale: Array
 
     @classmethod
-    def of(cls, tables: Sequence[Array]) -> AutoregressiveNoise:
-        """From whitened residuals, a table (K, e) for each segment."""
-        most, size = AUTOREGRESSION.most_order, tables[0].shape[1]
+    def of(cls, tables: Sequence[Array], most: int = AUTOREGRESSION.most_order) -> AutoregressiveNoise:
+        """From whitened residuals, a table (K, e) for each segment; of an order up to `most`."""
+        size = tables[0].shape[1]
         pieces = [
             np.lib.stride_tricks.sliding_window_view(t, most + 1, axis=0) for t in tables if len(t) > most
         ]
