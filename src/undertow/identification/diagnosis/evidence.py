@@ -15,8 +15,8 @@ from scipy.stats import wilcoxon
 from undertow.errors import UndertowError
 from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.prediction_error import (
-    PredictionErrorFit,
     refit_by_prediction_error,
+    vuong_p_value,
 )
 from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import prior_of
@@ -417,25 +417,15 @@ def p_value_in_autoregressive_noise(finding: FoundEffect, bench: Bench) -> float
 
 
 def p_value_by_prediction_error(finding: FoundEffect, bench: Bench) -> float:
-    """P-value of an effect by one-step predictions of the training data, with process noise in the model.
-
-    A likelihood ratio by blocks of time, with Akaike's correction for its parameters (Vuong 1989).
-    """
+    """P-value of an effect by one-step predictions of the training data, with process noise in the model."""
     runs, base = bench.train.runs, bench.base_by_prediction_error
     found = refit_by_prediction_error(finding.trial.fit, runs, base)
-    p_value = _p_value_of_ratio(base, found)
+    p_value = vuong_p_value(base, found)
     if p_value > bench.settings.false_alarm_rate:
         return p_value
     # The search for the smaller model may have ended at a worse minimum.
     again = refit_by_prediction_error(bench.base, runs, found)
-    return max(p_value, _p_value_of_ratio(again, found))
-
-
-def _p_value_of_ratio(smaller: PredictionErrorFit, larger: PredictionErrorFit) -> float:
-    fall = smaller.deviance - larger.deviance
-    added = len(larger.model.free) - len(smaller.model.free)
-    excess = float(np.sum(fall)) - 2.0 * added
-    return float(student.sf(excess / (np.sqrt(len(fall)) * np.std(fall, ddof=1) + 1e-300), len(fall) - 1))
+    return max(p_value, vuong_p_value(again, found))
 
 
 def p_value(fall: float, by_chance: Array) -> float:

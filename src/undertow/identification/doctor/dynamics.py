@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from undertow.errors import UndertowError
 from undertow.identification.estimation.data import WeakData, inverse_of, prepare
 from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
+from undertow.identification.estimation.prediction_error import refit_by_prediction_error, vuong_p_value
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.step import normal_equations, prior_of
 from undertow.identification.estimation.weak_form import (
@@ -74,6 +75,7 @@ class DynamicsSettings:
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
     least_predicted_fall: float = 1.1  # predicted reduction from which a mistake is fitted
     as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
+    false_alarm_rate: float = 0.01  # of predictions that say that commands are wired in another way
     changes: float = 1e-9  # change of a sample that is none
     # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
     unreadable: float = 0.5
@@ -170,6 +172,21 @@ class Dynamics:
         """Whether the refitted model explains the motion as well or better once a mistake is undone."""
         fit = self.without(mistake)
         return fit is None or self.gain(fit).overall >= 1.0
+
+    def predicted_better(self, mistake: Mistake) -> bool:
+        """Whether predictions one step ahead, with process noise in the model, say that there is a mistake.
+
+        Thrust that opposes a disturbance looks reversed, but not in these. What cannot be predicted says so.
+        """
+        undone = self.without(mistake)
+        if undone is None:
+            return True
+        try:
+            given = refit_by_prediction_error(self.fit, self.runs)
+            corrected = refit_by_prediction_error(undone, [rederived(r, mistake.undo) for r in self.runs])
+        except UndertowError:
+            return True
+        return vuong_p_value(given, corrected) < SETTINGS.false_alarm_rate
 
     def explained_as_well(self, mistake: Mistake, effects: Iterable[type[Effect]]) -> list[type[Effect]]:
         """Those effects that the vehicle lacks which explain the motion as well as undoing a mistake does."""

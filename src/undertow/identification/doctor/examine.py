@@ -331,7 +331,7 @@ class _Examiner:
         if wrong is not None and (found is not None or at.no_worse(wrong.mistake)):
             return wrong
         doubt = found or suspected(signs, possible)
-        if doubt is not None:
+        if doubt is not None and at.predicted_better(doubt.mistake):
             self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
         return None
 

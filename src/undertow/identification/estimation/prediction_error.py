@@ -10,6 +10,7 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import t as student
 
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
@@ -430,6 +431,17 @@ def refit_by_prediction_error(
         return search.fit(fit.p)
     shared = {n: v for n, v in near.values.items() if n in model.free}
     return search.fit(physical_start(model, fit.values | shared), near.starts, near.noise)
+
+
+def vuong_p_value(one: PredictionErrorFit, other: PredictionErrorFit) -> float:
+    """P-value of a likelihood that another model of the same data raises, if both are as near to the truth.
+
+    A test by blocks of time, with Akaike's correction for the number of parameters (Vuong 1989).
+    """
+    fall = one.deviance - other.deviance
+    excess = float(np.sum(fall)) - 2.0 * (len(other.model.free) - len(one.model.free))
+    spread = np.sqrt(len(fall)) * np.std(fall, ddof=1) + 1e-300
+    return float(student.sf(excess / spread, len(fall) - 1))
 
 
 def _chained(model: WeakModel, runs: Sequence[Run], intervals: int) -> ChainedWindows:
