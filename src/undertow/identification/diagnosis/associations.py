@@ -350,7 +350,7 @@ class Association:
 
         lengths: of the segments of each of the three samples.
         """
-        rest = self.without(found).samples.fitted.r[:, None]
+        rest = self.without(found).samples.fitted.r
         noise = AutoregressiveNoise.of(np.split(rest, np.cumsum(lengths[0])[:-1]))
         place = self.slices[found.term.label]
         samples = (

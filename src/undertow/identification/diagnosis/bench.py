@@ -35,7 +35,6 @@ from undertow.identification.estimation.weak_form import (
     mean_square,
     used_in_estimation,
     values_in_runs,
-    with_autoregressive_noise,
     with_process_noise,
     with_reestimated_noise,
 )
@@ -201,13 +200,6 @@ class Bench:
         test = with_process_noise(fit.model.whitening(self.test, fit.p), fit.disturbance, self.test)
         refitted = self._refitted_base(fit.whitening, fit.disturbance, self.settings.rough_step)
         return replace(self, train_whitening=fit.whitening, test_whitening=test, base=refitted)
-
-    @cached_property
-    def autoregressive(self) -> Bench:
-        """The bench under autoregressive noise, estimated from all that the model lacks."""
-        base, noise = with_autoregressive_noise(self.base)
-        test = [w.with_autoregressive(noise) for w in self.test_whitening]
-        return replace(self, train_whitening=base.whitening, test_whitening=test, base=base)
 
     @cached_property
     def base_by_prediction_error(self) -> PredictionErrorFit:

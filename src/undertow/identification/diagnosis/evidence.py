@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import wilcoxon
 
-from undertow.errors import UndertowError
 from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.prediction_error import (
     refit_by_prediction_error,
@@ -392,32 +391,12 @@ def block_length_factor(trial: Trial, residual: Array, bench: Bench) -> int:
     return max(1, round(min(data.uncorrelated_seconds(score), longest) / data.block_seconds))
 
 
-def p_value_beyond_feedback(finding: FoundEffect, bench: Bench) -> float:
-    """P-value of an effect of the commands, where these may answer what the model lacks.
-
-    In a closed loop estimates are consistent if what remains is independent of the past (direct
-    identification: Ljung 1999, chapter 13). Two such models have to agree. Autoregressive noise in the weak
-    form fails where commands answer waves within a test function; one-step predictions fail where a
-    controller knows more of the motion than the log.
-    """
-    in_noise = p_value_in_autoregressive_noise(finding, bench)
-    if in_noise > bench.settings.false_alarm_rate:
-        return in_noise
-    try:
-        return max(in_noise, p_value_by_prediction_error(finding, bench))
-    except UndertowError:  # a delayed sensor, or segments too short for windows
-        return in_noise
-
-
-def p_value_in_autoregressive_noise(finding: FoundEffect, bench: Bench) -> float:
-    """P-value of an effect under autoregressive noise estimated without it (see `Bench.autoregressive`)."""
-    predicted, found = bench.autoregressive, finding.trial.fit
-    fit = predicted.fit(found.model, start=found.values)
-    return compare_scores(predicted.base_score, predicted.score(fit), bench.test).p_value
-
-
 def p_value_by_prediction_error(finding: FoundEffect, bench: Bench) -> float:
-    """P-value of an effect by one-step predictions of the training data, with process noise in the model."""
+    """P-value of an effect by one-step predictions of the training data, with process noise in the model.
+
+    Where commands answer what the model lacks, estimates are consistent if predictions are made from the past
+    alone (direct identification in closed loop: Ljung 1999, chapter 13).
+    """
     runs, base = bench.train.runs, bench.base_by_prediction_error
     found = refit_by_prediction_error(finding.trial.fit, runs, base)
     p_value = vuong_p_value(base, found)

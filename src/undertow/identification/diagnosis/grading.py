@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE
 from undertow.identification.estimation.weak_form import WeakFit
@@ -31,7 +32,7 @@ from .evidence import (
     fitted,
     inclusion,
     linearised,
-    p_value_beyond_feedback,
+    p_value_by_prediction_error,
     reconciles_sensors,
     reduced_to_same_force,
 )
@@ -96,7 +97,10 @@ def feedback_doubt(finding: FoundEffect, bench: Bench, among: int) -> str:
     """
     if finding.trial.candidate.effect.family != "actuation":
         return ""
-    chance = min(1.0, among * p_value_beyond_feedback(finding, bench))
+    try:
+        chance = min(1.0, among * p_value_by_prediction_error(finding, bench))
+    except UndertowError:  # a delayed sensor, or segments too short for windows
+        return ""
     if chance < bench.settings.false_alarm_rate:
         return ""
     return (

@@ -363,10 +363,10 @@ class PredictionErrorFit(Fitted):
         for channel in np.unique(errors.channel):
             own = errors.channel == channel
             places = [np.flatnonzero(own & (run == k)) for k in np.unique(run)]
-            tables = [errors.table[place, :1] for place in places]
-            noise = AutoregressiveNoise.of(tables, order)
-            for place, table in zip(places, tables, strict=True):
-                square = noise.innovations(table)[:, 0] ** 2 + 2.0 * np.log(noise.scale[0])
+            series = [errors.table[place, 0] for place in places]
+            noise = AutoregressiveNoise.of(series, order)
+            for place, r in zip(places, series, strict=True):
+                square = noise.innovations(r) ** 2 + 2.0 * np.log(noise.scale)
                 terms[place[order:]] = (square + errors.log_variance[place])[order:]
         return np.bincount(self._block, terms).astype(float)
 

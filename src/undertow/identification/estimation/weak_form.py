@@ -18,7 +18,7 @@ from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, require_equations, squared
-from .whitening import AutoregressiveNoise, Whitening
+from .whitening import Whitening
 from .windows import Windows, cut
 
 
@@ -87,23 +87,6 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
         square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
         level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
     return np.asarray(level)
-
-
-def with_autoregressive_noise(fit: WeakFit) -> tuple[WeakFit, AutoregressiveNoise]:
-    """The model fitted with autoregressive noise, estimated from what it leaves.
-
-    Commands in a closed loop answer the disturbance, and so does the motion. Estimates are consistent if what
-    remains is independent of the past (Ljung 1999, chapter 13).
-    """
-    plain, rows = fit.whitening, len(fit.data.rows)
-    lengths = np.cumsum([s.functions.count for s in fit.data.segments])[:-1]
-    r = fit.at.r
-    for _ in range(SETTINGS.noise_rounds):
-        noise = AutoregressiveNoise.of(np.split(r.reshape(-1, rows), lengths))
-        whitening = [w.with_autoregressive(noise) for w in plain]
-        fit = _gauss_newton(fit.model, fit.p, fit.data, whitening, fit.disturbance, SETTINGS.most_steps)
-        r = whitened(fit.model.linearise(fit.data, fit.p), plain).r
-    return fit, noise
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:

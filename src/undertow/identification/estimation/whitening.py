@@ -21,7 +21,7 @@ class AutoregressionSettings:
     """Settings of autoregressive models of whitened residuals."""
 
     most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
-    rows_per_coefficient: int = 10  # residuals of an equation for each of its coefficients
+    rows_per_coefficient: int = 10
 
 
 AUTOREGRESSION = AutoregressionSettings()
@@ -55,54 +55,41 @@ def unbanded(bands: Array) -> csr_array:
 
 @dataclass(frozen=True)
 class AutoregressiveNoise:
-    """A vector autoregressive model of the whitened residuals of all equations.
+    """An autoregressive model of a whitened residual.
 
     statsmodels fits one to a single series without gaps; here all segments are fitted together.
 
-    coefficients: (order, e, e), of each of e equations in all of them, the nearest residuals first.
-    scale: (e,), rms of the innovations.
+    coefficients: (order,), of the residuals before, the nearest first.
+    scale: rms of the innovations.
     """
 
     coefficients: Array
-    scale: Array
+    scale: float
 
     @classmethod
-    def of(cls, tables: Sequence[Array], most: int = AUTOREGRESSION.most_order) -> AutoregressiveNoise:
-        """From whitened residuals, a table (K, e) for each segment; of an order up to `most`."""
-        size = tables[0].shape[1]
-        pieces = [
-            np.lib.stride_tricks.sliding_window_view(t, most + 1, axis=0) for t in tables if len(t) > most
-        ]
-        rows = np.concatenate(pieces)[:, :, ::-1] if pieces else np.zeros((0, size, most + 1))
-        now, past = rows[:, :, 0], rows[:, :, 1:].transpose(0, 2, 1)
-        count, least = len(rows), np.inf
-        found = cls(np.zeros((0, size, size)), np.ones(size))
+    def of(cls, series: Sequence[Array], most: int = AUTOREGRESSION.most_order) -> AutoregressiveNoise:
+        """From whitened residuals, an array (K,) for each segment; of an order up to `most`."""
+        pieces = [np.lib.stride_tricks.sliding_window_view(r, most + 1) for r in series if len(r) > most]
+        rows = np.concatenate(pieces)[:, ::-1] if pieces else np.zeros((0, most + 1))
+        count, least, found = len(rows), np.inf, cls(np.zeros(0), 1.0)
         for order in range(most + 1):
-            if count < AUTOREGRESSION.rows_per_coefficient * order * size + 1:
+            if count < AUTOREGRESSION.rows_per_coefficient * order + 1:
                 break
-            known = past[:, :order].reshape(count, -1)
-            c = np.linalg.lstsq(known, now, rcond=None)[0]
-            scale = np.sqrt(np.maximum(np.mean((now - known @ c) ** 2, axis=0), 1e-300))
-            # Schwarz's criterion, per equation
-            criterion = 2.0 * count * np.mean(np.log(scale)) + order * size * np.log(count)
+            c = np.linalg.lstsq(rows[:, 1 : order + 1], rows[:, 0], rcond=None)[0]
+            square = float(np.mean((rows[:, 0] - rows[:, 1 : order + 1] @ c) ** 2)) + 1e-300
+            # Schwarz's criterion
+            criterion = count * np.log(square) + order * np.log(count)
             if criterion < least:
-                blocks = np.asarray(c, dtype=float).reshape(order, size, size)
-                least, found = criterion, cls(blocks.swapaxes(1, 2), scale)
+                least, found = criterion, cls(np.asarray(c, dtype=float), float(np.sqrt(square)))
         return found
 
-    @property
-    def order(self) -> int:
-        """How many residuals before it a prediction of the next one needs."""
-        return len(self.coefficients)
-
     def innovations(self, table: Array) -> Array:
-        """One-step prediction errors of rows (m, k) in a segment, variance one; the first are zero."""
-        rows = table.reshape(-1, len(self.scale), table.shape[1])
-        found = rows.copy()
+        """One-step prediction errors of a segment, (m,) or (m, k), of variance one; the first are zero."""
+        found = np.array(table, dtype=float)
         for lag, c in enumerate(self.coefficients, start=1):
-            found[lag:] -= np.einsum("ef,tfk->tek", c, rows[:-lag])
-        found[: self.order] = 0.0
-        return np.asarray((found / self.scale[:, None]).reshape(table.shape))
+            found[lag:] -= c * table[:-lag]
+        found[: len(self.coefficients)] = 0.0
+        return np.asarray(found / self.scale)
 
 
 class Whitening:
@@ -116,7 +103,6 @@ class Whitening:
 
     def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
         self._bands = covariance, overlap
-        self._autoregression: AutoregressiveNoise | None = None
         self._factorise(intensity)
 
     def _factorise(self, intensity: Array) -> None:
@@ -145,16 +131,7 @@ class Whitening:
     def __call__(self, right: Array) -> Array:
         """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
         table = np.asarray(right)
-        found = solved(self._factor, table.reshape(len(table), -1))
-        if self._autoregression is not None:
-            found = self._autoregression.innovations(found)
-        return found.reshape(table.shape)
-
-    def with_autoregressive(self, noise: AutoregressiveNoise) -> Whitening:
-        """The same less what the residuals before predict of each one."""
-        other = copy(self)
-        other._autoregression = noise
-        return other
+        return solved(self._factor, table.reshape(len(table), -1)).reshape(table.shape)
 
     def noise_sample(self, rng: np.random.Generator) -> Array:
         """Whitened channel noise alone: one draw, shape (m,)."""
