@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.signal import lfilter
 
 from tests.control.test_certificates import loaded
 from tests.identification.test_evidence import NO_EVIDENCE
+from tests.quick import first_quick
 from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import (
@@ -20,6 +22,7 @@ from undertow.identification.diagnosis.evidence import (
 from undertow.identification.diagnosis.grading import feedback_doubt
 from undertow.identification.diagnosis.prediction_gain import PredictionGain
 from undertow.identification.diagnosis.trial import try_candidate
+from undertow.identification.doctor.dynamics import dynamics_of, reversed_commands
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.whitening import AutoregressiveNoise
 from undertow.identification.logs.run import Run
@@ -74,20 +77,23 @@ def _run(seed: int, dead: float, *, held: bool) -> Run:
     return Run(f"{seed}", t, channels, sha256=f"{seed}")
 
 
-def _candidate(effect: str, runs: Sequence[Run], value: float) -> tuple[FoundEffect, Bench]:
+@cache
+def _candidate(effect: str, value: float, *, dead: float, held: bool) -> tuple[FoundEffect, Bench]:
     """An effect fitted to half of the runs, from this value."""
-    vehicle = loaded(VEHICLE)
-    train = prepare(runs[:3], vehicle)
-    bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
+    vehicle, runs = loaded(VEHICLE), [_run(seed, dead, held=held) for seed in range(4)]
+    train = prepare(runs[:2], vehicle)
+    bench = open_bench(vehicle, train, prepare(runs[2:], vehicle, sigma=train.sigma))
     candidate = Candidate(catalogue()[effect], vehicle)
     start = bench.base.values | {p.name: value for p in candidate.parameters}
     return FoundEffect(try_candidate(candidate, bench, start), *NO_EVIDENCE), bench
 
 
-@pytest.mark.parametrize(("effect", "start"), [("thruster_deadband", 2.0), ("actuation_delay", 0.3)])
+@pytest.mark.parametrize(
+    ("effect", "start"), first_quick([("thruster_deadband", 2.0), ("actuation_delay", 0.3)])
+)
 def test_a_controller_that_opposes_a_disturbance_is_no_effect(effect: str, start: float) -> None:
     """Its commands look like thrust that is lost, or late."""
-    finding, bench = _candidate(effect, [_run(seed, 0.0, held=True) for seed in range(6)], start)
+    finding, bench = _candidate(effect, start, dead=0.0, held=True)
     usual = compare_scores(bench.base_score, finding.trial.score, bench.test)
     assert usual.p_value < 0.01
     assert p_value_by_prediction_error(finding, bench) > 0.1
@@ -96,17 +102,26 @@ def test_a_controller_that_opposes_a_disturbance_is_no_effect(effect: str, start
 
 def test_inertia_is_found_with_process_noise() -> None:
     """Without, thrust that does not move a vehicle is thrust on a much heavier one."""
-    runs = [_run(seed, 0.0, held=True) for seed in range(6)]
-    _, bench = _candidate("thruster_deadband", runs, 2.0)
+    _, bench = _candidate("thruster_deadband", 2.0, dead=0.0, held=True)
     assert bench.base.values["X_udot"] < -60.0
     assert bench.base_by_prediction_error.values["X_udot"] == pytest.approx(-6.0, abs=2.0)
 
 
 def test_a_dead_band_shows_with_process_noise() -> None:
-    finding, bench = _candidate("thruster_deadband", [_run(seed, 2.5, held=False) for seed in range(6)], 2.0)
-    assert finding.trial.fit.values["deadband_width"] == pytest.approx(2.5, rel=0.25)
-    assert p_value_by_prediction_error(finding, bench) < 1e-3
-    assert feedback_doubt(finding, bench, among=10) == ""
+    finding, bench = _candidate("thruster_deadband", 2.0, dead=4.0, held=False)
+    assert finding.trial.fit.values["deadband_width"] == pytest.approx(4.0, rel=0.25)
+    assert p_value_by_prediction_error(finding, bench) < 2e-3
+    assert feedback_doubt(finding, bench, among=4) == ""
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_reversed_commands_are_told_from_a_controller(sign: float) -> None:
+    runs = [_run(seed, 0.0, held=True) for seed in range(2)]
+    wired = [replace(r, channels=r.channels | {"jet": sign * r.channels["jet"]}) for r in runs]
+    vehicle = loaded(VEHICLE)
+    at = dynamics_of(vehicle, wired)
+    assert at is not None
+    assert at.predicted_better(reversed_commands(vehicle)[0]) == (sign < 0)
 
 
 def test_what_makes_a_vehicle_respond_less_is_no_better_prediction() -> None:

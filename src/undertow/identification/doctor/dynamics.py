@@ -176,7 +176,7 @@ class Dynamics:
     def predicted_better(self, mistake: Mistake) -> bool:
         """Whether predictions one step ahead, with process noise in the model, say that there is a mistake.
 
-        Thrust that opposes a disturbance looks reversed, but not in these. What cannot be predicted says so.
+        Thrust that opposes a disturbance looks reversed, but not in these. True where they cannot be made.
         """
         undone = self.without(mistake)
         if undone is None:
@@ -184,9 +184,9 @@ class Dynamics:
         try:
             given = refit_by_prediction_error(self.fit, self.runs)
             corrected = refit_by_prediction_error(undone, [rederived(r, mistake.undo) for r in self.runs])
+            return vuong_p_value(given, corrected) < SETTINGS.false_alarm_rate
         except UndertowError:
             return True
-        return vuong_p_value(given, corrected) < SETTINGS.false_alarm_rate
 
     def explained_as_well(self, mistake: Mistake, effects: Iterable[type[Effect]]) -> list[type[Effect]]:
         """Those effects that the vehicle lacks which explain the motion as well as undoing a mistake does."""

@@ -436,9 +436,12 @@ def refit_by_prediction_error(
 def vuong_p_value(one: PredictionErrorFit, other: PredictionErrorFit) -> float:
     """P-value of a likelihood that another model of the same data raises, if both are as near to the truth.
 
-    A test by blocks of time, with Akaike's correction for the number of parameters (Vuong 1989).
+    A test by blocks of time, with Akaike's correction for the number of parameters (Vuong 1989). An
+    UndertowError if there is one block only.
     """
     fall = one.deviance - other.deviance
+    if len(fall) < 2:
+        raise UndertowError(f"logs of {SETTINGS.block:g} s or less cannot decide between models")
     excess = float(np.sum(fall)) - 2.0 * (len(other.model.free) - len(one.model.free))
     spread = np.sqrt(len(fall)) * np.std(fall, ddof=1) + 1e-300
     return float(student.sf(excess / spread, len(fall) - 1))
