@@ -13,13 +13,13 @@ from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
     mean_square,
     with_reestimated_noise,
 )
-from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Value, Vehicle

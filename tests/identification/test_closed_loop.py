@@ -24,7 +24,7 @@ from undertow.identification.diagnosis.prediction_gain import PredictionGain
 from undertow.identification.diagnosis.trial import try_candidate
 from undertow.identification.doctor.dynamics import dynamics_of, reversed_commands
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.whitening import AutoregressiveNoise
+from undertow.identification.estimation.prediction_error import AutoregressiveNoise
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 

@@ -12,9 +12,8 @@ from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.identification.estimation import data
 from undertow.identification.estimation.data import residual_covariance
 from undertow.identification.estimation.inputs import Inputs, PropagatedState
-from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes
+from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes, unbanded
 from undertow.identification.estimation.test_functions import test_functions as functions_on
-from undertow.identification.estimation.whitening import unbanded
 
 N_DOF = 2
 ROWS = (0, 1, 3)

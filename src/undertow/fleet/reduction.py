@@ -18,6 +18,7 @@ from undertow.identification.doctor.examine import refuse_impossible
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     free_parameters,
     initial_disturbance,
@@ -25,7 +26,6 @@ from undertow.identification.estimation.weak_form import (
     start_fit,
     with_process_noise,
 )
-from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.chunks import long_logs
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose

@@ -18,8 +18,8 @@ from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, base_name, origins, whitened
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import WeakFit, mean_square
-from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2, gamma
 
 from undertow.identification.estimation.data import WeakData, blocks_of_time, inverse_of
-from undertow.identification.estimation.whitening import AutoregressiveNoise
+from undertow.identification.estimation.prediction_error import AutoregressiveNoise
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle

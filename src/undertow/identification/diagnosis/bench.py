@@ -25,6 +25,7 @@ from undertow.identification.estimation.residual import (
     with_values_by_run,
 )
 from undertow.identification.estimation.step import prior_distance
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     estimation_part_factor,
@@ -38,7 +39,6 @@ from undertow.identification.estimation.weak_form import (
     with_process_noise,
     with_reestimated_noise,
 )
-from undertow.identification.estimation.whitening import Whitening
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags
 

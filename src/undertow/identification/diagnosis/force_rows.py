@@ -16,7 +16,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
-from undertow.identification.estimation.whitening import Whitening, banded, overlap
+from undertow.identification.estimation.test_functions import Whitening, banded, overlap
 from undertow.typing import Array
 
 from .associations import Column, Trajectory

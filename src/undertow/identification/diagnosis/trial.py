@@ -27,6 +27,7 @@ from undertow.identification.estimation.step import (
     step_limits,
     within_limits,
 )
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
@@ -35,7 +36,6 @@ from undertow.identification.estimation.weak_form import (
     start_fit,
     with_reestimated_noise,
 )
-from undertow.identification.estimation.whitening import Whitening
 from undertow.typing import Array
 
 from .bench import Bench, Score

@@ -21,6 +21,7 @@ from .test_functions import (
     Entries,
     Supports,
     TestFunctions,
+    banded_sum,
     boxes,
     kink_delay,
     knot_spacing,
@@ -28,7 +29,6 @@ from .test_functions import (
     test_functions,
     weights_and_equation,
 )
-from .whitening import banded_sum
 
 
 # --- covariance of estimates from correlated residuals --------------------------------------------

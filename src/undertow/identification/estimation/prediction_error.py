@@ -25,8 +25,57 @@ from .residual import Linearised, WeakModel
 from .shooting import OneRun, Shooting
 from .step import Constraints, SearchSpace, require_rows, squared
 from .weak_form import free_parameters, mean_square_by
-from .whitening import AutoregressiveNoise
 from .windows import Windows, cut_by_samples
+
+
+@dataclass(frozen=True)
+class AutoregressionSettings:
+    """Settings of autoregressive models of whitened residuals."""
+
+    most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
+    rows_per_coefficient: int = 10
+
+
+AUTOREGRESSION = AutoregressionSettings()
+
+
+@dataclass(frozen=True)
+class AutoregressiveNoise:
+    """An autoregressive model of a whitened residual.
+
+    statsmodels fits one to a single series without gaps; here all segments are fitted together.
+
+    coefficients: (order,), of the residuals before, the nearest first.
+    scale: rms of the innovations.
+    """
+
+    coefficients: Array
+    scale: float
+
+    @classmethod
+    def of(cls, series: Sequence[Array], most: int = AUTOREGRESSION.most_order) -> AutoregressiveNoise:
+        """From whitened residuals, an array (K,) for each segment; of an order up to `most`."""
+        pieces = [np.lib.stride_tricks.sliding_window_view(r, most + 1) for r in series if len(r) > most]
+        rows = np.concatenate(pieces)[:, ::-1] if pieces else np.zeros((0, most + 1))
+        count, least, found = len(rows), np.inf, cls(np.zeros(0), 1.0)
+        for order in range(most + 1):
+            if count < AUTOREGRESSION.rows_per_coefficient * order + 1:
+                break
+            c = np.linalg.lstsq(rows[:, 1 : order + 1], rows[:, 0], rcond=None)[0]
+            square = float(np.mean((rows[:, 0] - rows[:, 1 : order + 1] @ c) ** 2)) + 1e-300
+            # Schwarz's criterion
+            criterion = count * np.log(square) + order * np.log(count)
+            if criterion < least:
+                least, found = criterion, cls(np.asarray(c, dtype=float), float(np.sqrt(square)))
+        return found
+
+    def innovations(self, table: Array) -> Array:
+        """One-step prediction errors of a segment, (m,) or (m, k), of variance one; the first are zero."""
+        found = np.array(table, dtype=float)
+        for lag, c in enumerate(self.coefficients, start=1):
+            found[lag:] -= c * table[:-lag]
+        found[: len(self.coefficients)] = 0.0
+        return np.asarray(found / self.scale)
 
 
 class LinearWindows(NamedTuple):

@@ -21,8 +21,7 @@ from undertow.typing import Array, Flags, Index
 from .data import Segment, WeakData, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
 from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
-from .test_functions import Entries, Supports, weighted_sums, weights_and_equation
-from .whitening import Whitening, overlap
+from .test_functions import Entries, Supports, Whitening, overlap, weighted_sums, weights_and_equation
 
 # --- parameters that have a value of their own in every run ---------------------------------------
 # A free parameter V_N@dive2 is the value of V_N in the run "dive2". All parameters of a model stand in one

@@ -1,9 +1,10 @@
-"""Test functions of the weak form: cubic B-splines, quadrature, sums over windows."""
+"""Test functions of the weak form: cubic B-splines, quadrature, sums over windows and their noise."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
@@ -11,8 +12,9 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.codegen.compiler import Compiler, compiled_or_virtual, library_for, loaded, pointer
 from undertow.codegen.source import EXPORTED, digest
@@ -438,3 +440,102 @@ def products(first: Index, sensitivity: Array) -> Array:
 def solved(factor: Array, right: Array) -> Array:
     """Solution of L z = r for a lower factor in LAPACK's bands, shape (b, m), and r of shape (m, k)."""
     return _sums().solved(factor, np.asarray(right, dtype=float))
+
+
+# --- noise of these sums ---------------------------------------------------------------------------
+def banded(matrix: csr_array) -> Array:
+    """Lower half of a symmetric banded matrix in LAPACK's storage: a row for each diagonal."""
+    coordinates = matrix.tocoo()
+    offset = coordinates.row - coordinates.col
+    bands = np.zeros((int(np.max(offset, initial=0)) + 1, matrix.shape[0]))
+    lower = offset >= 0
+    bands[offset[lower], coordinates.col[lower]] = coordinates.data[lower]
+    return bands
+
+
+def banded_sum(one: Array, other: Array) -> Array:
+    """Sum of two symmetric banded matrices in LAPACK's storage."""
+    total = np.zeros((max(len(one), len(other)), one.shape[1]))
+    total[: len(one)] = one
+    total[: len(other)] += other
+    return total
+
+
+def unbanded(bands: Array) -> csr_array:
+    """The whole symmetric matrix of LAPACK's banded storage."""
+    size = bands.shape[1]
+    lower = dia_array((bands, -np.arange(len(bands))), shape=(size, size)).tocsr()
+    lower.eliminate_zeros()
+    return csr_array(lower + tril(lower, -1).T)
+
+
+class Whitening:
+    """Turns residuals into ones of unit variance, by a banded Cholesky factor.
+
+    Rows are ordered by test function, then by equation. `covariance` (b, m) is that from the noise of the
+    channels, and `overlap` (b, m) the products of test functions of one equation, the covariance of a white
+    disturbance; lower halves in LAPACK's banded storage. `intensity` (m,) is that of the disturbance: the
+    residual above the noise.
+    """
+
+    def __init__(self, covariance: Array, overlap: Array, intensity: Array) -> None:
+        self._bands = covariance, overlap
+        self._factorise(intensity)
+
+    def _factorise(self, intensity: Array) -> None:
+        """Cholesky factor with a disturbance."""
+        measured, white = self._bands
+        if not np.any(intensity):
+            self._factor = _cholesky(measured)
+            return
+        spread, disturbance = np.sqrt(intensity), np.zeros_like(white)
+        for offset, diagonal in enumerate(white):
+            last = len(spread) - offset
+            disturbance[offset, :last] = spread[offset:] * diagonal[:last] * spread[:last]
+        self._factor = _cholesky(banded_sum(measured, disturbance))
+
+    @cached_property
+    def covariance(self) -> csr_array:
+        """Covariance of the residual from the noise of the channels alone, in the order of its rows."""
+        return unbanded(self._bands[0])
+
+    def with_disturbance(self, intensity: Array) -> Whitening:
+        """The same noise with another disturbance."""
+        other = copy(self)
+        other._factorise(intensity)
+        return other
+
+    def __call__(self, right: Array) -> Array:
+        """Whitened residuals or Jacobian columns, shape (m,) or (m, k)."""
+        table = np.asarray(right)
+        return solved(self._factor, table.reshape(len(table), -1)).reshape(table.shape)
+
+    def noise_sample(self, rng: np.random.Generator) -> Array:
+        """Whitened channel noise alone: one draw, shape (m,)."""
+        factor = _cholesky(self._bands[0])
+        draw = np.asarray(rng.standard_normal(factor.shape[1]))
+        return self(_times(factor, draw))
+
+
+def _cholesky(bands: Array) -> Array:
+    """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
+    banded = bands.copy()
+    # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
+    banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+    return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+
+
+def _times(factor: Array, vector: Array) -> Array:
+    """Product of a lower banded factor and a vector."""
+    size = factor.shape[1]
+    result = np.zeros(size)
+    for offset, diagonal in enumerate(factor):
+        result[offset:] += diagonal[: size - offset] * vector[: size - offset]
+    return result
+
+
+def overlap(functions: TestFunctions, t: Array, equations: int) -> Array:
+    """Covariance of the weak residual under a white disturbance of unit intensity, in bands."""
+    step = np.append(np.diff(t), 1.0)
+    gram = functions.held @ diags_array(1.0 / step) @ functions.held.T
+    return banded(csr_array(kron(gram, eye_array(equations))))

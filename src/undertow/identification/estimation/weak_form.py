@@ -18,7 +18,7 @@ from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, require_equations, squared
-from .whitening import Whitening
+from .test_functions import Whitening
 from .windows import Windows, cut
 
 

@@ -17,8 +17,8 @@ from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import undetermined
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import bounded_step, bounds_of, search_prior, squared
+from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import free_parameters
-from undertow.identification.estimation.whitening import Whitening
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
