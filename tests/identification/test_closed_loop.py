@@ -115,7 +115,7 @@ def test_a_dead_band_shows_with_process_noise() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_reversed_commands_are_told_from_a_controller(sign: float) -> None:
+def test_reversed_commands_are_distinguished_from_a_controller(sign: float) -> None:
     runs = [_run(seed, 0.0, held=True) for seed in range(2)]
     wired = [replace(r, channels=r.channels | {"jet": sign * r.channels["jet"]}) for r in runs]
     vehicle = loaded(VEHICLE)

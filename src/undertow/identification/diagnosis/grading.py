@@ -104,8 +104,8 @@ def feedback_doubt(finding: FoundEffect, bench: Bench, among: int) -> str:
     if chance < bench.settings.false_alarm_rate:
         return ""
     return (
-        "commands that oppose a disturbance look like this: with a disturbance in the model that its past "
-        f"predicts, it explains no more than chance (p = {chance:.2g})"
+        "commands that oppose a disturbance look like this: with process noise in the model, predictions one "
+        f"step ahead improve no more than by chance (p = {chance:.2g})"
     )
 
 

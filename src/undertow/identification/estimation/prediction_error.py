@@ -33,7 +33,7 @@ class AutoregressionSettings:
     """Settings of autoregressive models of whitened residuals."""
 
     most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
-    rows_per_coefficient: int = 10
+    rows_per_coefficient: int = 10  # fewest residuals for each coefficient
 
 
 AUTOREGRESSION = AutoregressionSettings()
@@ -483,7 +483,7 @@ def refit_by_prediction_error(
 
 
 def vuong_p_value(one: PredictionErrorFit, other: PredictionErrorFit) -> float:
-    """P-value of a likelihood that another model of the same data raises, if both are as near to the truth.
+    """Probability that the likelihood of the other model is as much higher if both are as close to the truth.
 
     A test by blocks of time, with Akaike's correction for the number of parameters (Vuong 1989). An
     UndertowError if there is one block only.
@@ -578,7 +578,7 @@ class _Search:
 
     def fit(self, p: Array, starts: Array | None = None, noise: Noise | None = None) -> PredictionErrorFit:
         """Alternate steps and noise until neither changes."""
-        self._noise = self._noise if noise is None else noise
+        self._noise = noise or self._noise
         state = self._at(p, self._chained.measured_starts(p) if starts is None else starts)
         if state is None:
             raise UndertowError(
