@@ -241,34 +241,39 @@ class SensorDelay:
         seconds = self.seconds(p)
         return _moved(s, seconds) if _usable_functions(s, seconds) else s
 
-    def residual(self, s: Segment, p: Array, of: Callable[[Segment], Linearised]) -> Linearised:
-        """Residual `of` a segment at its true time, and its derivative in the delays as well.
+    def residuals(
+        self, segments: list[Segment], p: Sequence[Array], of: Callable[[list[Segment]], list[Linearised]]
+    ) -> list[Linearised]:
+        """Residuals `of` segments at their true times, and their derivatives in the delays as well.
 
-        Test functions that reach beyond the last true value are marked as unknown.
+        p: parameters for each segment. Test functions that reach beyond the last true value are marked as
+        unknown.
         """
         if not self.present:
-            return of(s)
-        seconds = self.seconds(p)
-        functions = _usable_functions(s, seconds)
-        if not functions:
-            return of(s)
-        moved = _moved(s, seconds)
-        at = of(moved)
-        J = at.J.copy()
-        step = SETTINGS.delay_step * float(np.median(np.diff(s.t)))
-        for k, slope in self._slopes(p):
-            # From the smoothed rate: differentiated noise would suggest a precision that does not exist.
-            change = step * slope * _delayed(s.t, s.rate, seconds)
-            J[:, k] += (of(replace(moved, measured=moved.measured + change)).r - at.r) / step
-        known = functions * (len(at.r) // s.functions.count)
-        inside = np.arange(len(at.r)) < known
-        r, J, start = at.r * inside, J * inside[:, None], at.start * inside[:, None]
-        return replace(at, r=r, J=J, start=start, known=known)
+            return of(segments)
+        seconds = [self.seconds(q) for q in p]
+        functions = [_usable_functions(s, late) for s, late in zip(segments, seconds, strict=True)]
+        moved = [
+            _moved(s, late) if n else s for s, late, n in zip(segments, seconds, functions, strict=True)
+        ]
+        parts = of(moved)
+        slopes = np.array([self._slopes(q) * (n > 0) for q, n in zip(p, functions, strict=True)])
+        # From the smoothed rate: differentiated noise would suggest a precision that does not exist.
+        rates = [_delayed(s.t, s.rate, late) for s, late in zip(segments, seconds, strict=True)]
+        J = [part.J.copy() for part in parts]
+        for k in np.flatnonzero(np.any(slopes, axis=(0, 1))).tolist():
+            steps = [SETTINGS.delay_step * float(np.median(np.diff(s.t))) for s in segments]
+            each = zip(moved, rates, slopes, steps, strict=True)
+            changed = of([replace(s, measured=s.measured + h * own[:, k] * rate) for s, rate, own, h in each])
+            for own, part, other, h in zip(J, parts, changed, steps, strict=True):
+                own[:, k] += (other.r - part.r) / h
+        found = (replace(part, J=own) for part, own in zip(parts, J, strict=True))
+        every = zip(found, segments, functions, strict=True)
+        return [_of_functions(part, s, n) if n else part for part, s, n in every]
 
-    def _slopes(self, p: Array) -> list[tuple[int, Array]]:
-        """Which free parameters are delays, with the derivative of every channel's delay."""
-        slope = np.asarray(self._dead_time(p)[1])
-        return [(k, slope[:, k]) for k in range(slope.shape[1]) if np.any(slope[:, k])]
+    def _slopes(self, p: Array) -> Array:
+        """Derivative of the delay of every channel in the free parameters, (2n, n_free)."""
+        return np.asarray(self._dead_time(p)[1])
 
     @cached_property
     def _dead_time(self) -> ca.Function:
@@ -287,6 +292,14 @@ def _usable_functions(s: Segment, seconds: Array) -> int:
     beyond = s.t + np.max(seconds) > s.t[-1]
     lost = int(np.count_nonzero(abs(s.functions.value) @ beyond > 1e-12))
     return s.functions.count - lost if 2 * lost < s.functions.count else 0
+
+
+def _of_functions(part: Linearised, s: Segment, count: int) -> Linearised:
+    """A residual of which only the first test functions are known."""
+    known = count * (len(part.r) // s.functions.count)
+    inside = np.arange(len(part.r)) < known
+    r, J, start = part.r * inside, part.J * inside[:, None], part.start * inside[:, None]
+    return replace(part, r=r, J=J, start=start, known=known)
 
 
 def _moved(s: Segment, seconds: Array) -> Segment:
@@ -442,11 +455,8 @@ class WeakModel:
         own = [self.values.of_run(p, run) for run in data.runs]
         driven = self._driven(data, own)
         along = [_SegmentInputs(s, _in_segment(driven[s.run], s), own[s.run]) for s in data.segments]
-        if self._sensor_delay.present:
-            parts = [self._with_sensor_delay(one, data.rows) for one in along]
-        else:
-            batches = (self._evaluated(along[part], windows, data.rows) for part, windows in data.batches)
-            parts = list(chain.from_iterable(batches))
+        batches = (self._in_batch(along[part], windows, data.rows) for part, windows in data.batches)
+        parts = list(chain.from_iterable(batches))
         found = []
         for one, part in zip(along, parts, strict=True):
             run = data.runs[one.s.run]
@@ -455,11 +465,14 @@ class WeakModel:
             found.append(_without_past_commands(known, expanded, one.s, data.rows, self._points.size))
         return found
 
-    def _with_sensor_delay(self, one: _SegmentInputs, rows: tuple[int, ...]) -> Linearised:
-        def of(s: Segment) -> Linearised:
-            return self._evaluated([one._replace(s=s)], s.functions.supports, rows)[0]
+    def _in_batch(
+        self, along: Sequence[_SegmentInputs], windows: Supports, rows: tuple[int, ...]
+    ) -> list[Linearised]:
+        def of(segments: list[Segment]) -> list[Linearised]:
+            given = [one._replace(s=s) for one, s in zip(along, segments, strict=True)]
+            return self._evaluated(given, windows, rows)
 
-        return self._sensor_delay.residual(one.s, one.p, of)
+        return self._sensor_delay.residuals([one.s for one in along], [one.p for one in along], of)
 
     def _driven(self, data: WeakData, own: list[Array]) -> list[Actuation]:
         each = zip(data.runs, data.held, own, strict=True)

@@ -122,7 +122,7 @@ class Windows:
             segment = places[int(pair[0]), int(pair[1])]
             for delay in np.unique(seconds[seconds > 0]):
                 columns = np.flatnonzero(seconds == delay)
-                values = segment.smoothed(self.names, self.sigma, self.t[rows, 0] + delay)
+                values = segment.smoothed(self.t[rows, 0] + delay)
                 found[np.ix_(rows, columns)] = values[:, columns]
         return found
 
@@ -136,19 +136,34 @@ class Segment:
     t: Array
     measured: Array  # (N, 2n) with curves through the reports of a channel that is slower
     reported: Array  # (N, 2n) without them: NaN there
+    names: tuple[str, ...]
+    sigma: Array  # (2n,) noise of the channels
     starts: Index
     stops: Index
 
-    def smoothed(self, names: tuple[str, ...], sigma: Array, when: Array) -> Array:
+    def smoothed(self, when: Array) -> Array:
         """Reported pose and velocity at some instants, smoothed locally, shape (k, 2n)."""
         left = np.clip(np.searchsorted(self.t, when, side="right") - 1, 0, len(self.t) - 2)
         share = np.clip((when - self.t[left]) / (self.t[left + 1] - self.t[left]), 0.0, 1.0)[:, None]
-        before, after = (self.values(names, sigma, i) for i in (left, left + 1))
+        before, after = self.values(left), self.values(left + 1)
         return before + share * (after - before)
 
-    def values(self, names: tuple[str, ...], sigma: Array, at: Index) -> Array:
+    def values(self, at: Index) -> Array:
         """The same at some samples."""
-        return start_values(self.t, self.measured, names, sigma, at, self.reported)
+        known, values = self._smoothed_samples
+        new = np.unique(at[~known[at]])
+        if len(new):
+            values[new] = start_values(self.t, self.measured, self.names, self.sigma, new, self.reported)
+            known[new] = True
+        return values[at]
+
+    @cached_property
+    def _smoothed_samples(self) -> tuple[Flags, Array]:
+        """Which samples were smoothed already, (N,), and their values, (N, 2n).
+
+        A fit of a sensor delay asks for the same ones at every step.
+        """
+        return np.zeros(len(self.t), dtype=bool), np.zeros(self.measured.shape)
 
 
 def cut(
@@ -167,7 +182,8 @@ def cut(
     """
     if horizon is not None and not horizon > 0:
         raise UndertowError(f"horizon = {horizon:g} s: give a positive time")
-    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, vehicle, horizon, skip)]
+    sigma = _noise(runs, vehicle) if sigma is None else sigma
+    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, vehicle, sigma, horizon, skip)]
     if not any(len(s.starts) for s in segments):
         _refuse(runs, segments, horizon)
     return _windows_of(runs, vehicle, horizon, sigma, segments)
@@ -175,12 +191,16 @@ def cut(
 
 def cut_by_samples(runs: Sequence[Run], vehicle: Vehicle, intervals: int) -> Windows:
     """Cut every run into windows of a number of its own sampling intervals."""
-    lengths = [intervals * run.step for run in runs]
-    found = [_segments(i, run, vehicle, lengths[i]) for i, run in enumerate(runs)]
+    lengths, sigma = [intervals * run.step for run in runs], _noise(runs, vehicle)
+    found = [_segments(i, run, vehicle, sigma, lengths[i]) for i, run in enumerate(runs)]
     for run, length, own in zip(runs, lengths, found, strict=True):
         if not any(len(s.starts) for s in own):
             _refuse([run], own, length)
-    return _windows_of(runs, vehicle, max(lengths), None, [s for own in found for s in own])
+    return _windows_of(runs, vehicle, max(lengths), sigma, [s for own in found for s in own])
+
+
+def _noise(runs: Sequence[Run], vehicle: Vehicle) -> Array:
+    return channel_noise(runs, (*vehicle.pose_names, *vehicle.velocity_names))
 
 
 def _refuse(runs: Sequence[Run], segments: list[Segment], horizon: float | None) -> None:
@@ -198,7 +218,7 @@ def _refuse(runs: Sequence[Run], segments: list[Segment], horizon: float | None)
 
 
 def _segments(
-    index: int, run: Run, vehicle: Vehicle, horizon: float | None, skip: float = 0.0
+    index: int, run: Run, vehicle: Vehicle, sigma: Array, horizon: float | None, skip: float = 0.0
 ) -> list[Segment]:
     pose = [n for n in vehicle.pose_names if run.has(n)]
     needed = [*pose, *vehicle.velocity_names]
@@ -211,7 +231,7 @@ def _segments(
         reported = np.column_stack([_column({**run.channels, **own}, n, piece) for n in names])
         late = int(np.searchsorted(t, run.t[0] + skip)) if skip else 0
         edges = (late + edge for edge in _windows(t[late:], horizon))
-        found.append(Segment(index, piece.start, t, measured, reported, *edges))
+        found.append(Segment(index, piece.start, t, measured, reported, names, sigma, *edges))
     return found
 
 
@@ -247,11 +267,10 @@ def _columns(pairs: list[tuple[int, int]]) -> tuple[Index, Index]:
 
 
 def _windows_of(
-    runs: Sequence[Run], vehicle: Vehicle, horizon: float | None, sigma: Array | None, segments: list[Segment]
+    runs: Sequence[Run], vehicle: Vehicle, horizon: float | None, sigma: Array, segments: list[Segment]
 ) -> Windows:
     """The windows of all segments side by side, padded to the longest."""
     names = (*vehicle.pose_names, *vehicle.velocity_names)
-    sigma = channel_noise(runs, names) if sigma is None else sigma
     count = np.concatenate([s.stops - s.starts for s in segments])
     most = int(count.max())
     pick = [np.minimum(s.starts[:, None] + np.arange(most), s.stops[:, None] - 1) for s in segments]
@@ -269,7 +288,7 @@ def _windows_of(
         count=count,
         t=np.concatenate([s.t[i] for s, i in zip(segments, pick, strict=True)]),
         measured=measured,
-        start=np.concatenate([s.values(names, sigma, s.starts) for s in segments]),
+        start=np.concatenate([s.values(s.starts) for s in segments]),
         segments=tuple(segments),
     )
 
