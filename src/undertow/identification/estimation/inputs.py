@@ -177,34 +177,41 @@ def _integrated(rate: Rate, output: Rate, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, c
     mean = output(z, 0.0)
     for step in range(_SUBSTEPS):
         begin = step * share
-        decay = _decay(rate, z, begin)
+        decay, alone = _decay(rate, z, begin)
 
-        def rates(at: ca.SX, reach: float, begin: float = begin) -> ca.SX:
-            return rate(at, begin + reach * share)
+        def rest(
+            at: ca.SX, reach: float, begin: float = begin, decay: ca.SX = decay, alone: bool = alone
+        ) -> ca.SX:
+            """Rates without the decay."""
+            if alone:
+                return rate(ca.SX.zeros(at.shape[0]), begin + reach * share)
+            return rate(at, begin + reach * share) - decay * at
 
-        z = _exponential_step(rates, decay, z, h)
+        z = _exponential_step(rest, decay, z, h)
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
 
 
-def _decay(rate: Rate, z: ca.SX, begin: float) -> ca.SX:
-    """Rates at which each state decays by itself, 1/s, not positive."""
+def _decay(rate: Rate, z: ca.SX, begin: float) -> tuple[ca.SX, bool]:
+    """Rates at which each state decays by itself, 1/s, and whether nothing else depends on the states.
+
+    They are not positive, except where nothing else does.
+    """
     at = ca.SX.sym("at", z.shape[0])
-    own = ca.diag(ca.jacobian(rate(at, begin), at))
-    return ca.fmin(ca.substitute(own, at, z), 0.0)
+    slopes = ca.jacobian(rate(at, begin), at)
+    own = ca.diag(slopes)
+    alone = slopes.nnz() == own.nnz() and not ca.depends_on(own, at)
+    return (own, True) if alone else (ca.fmin(ca.substitute(own, at, z), 0.0), False)
 
 
-def _exponential_step(rates: Rate, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
+def _exponential_step(rest: Rate, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
     """One step of the fourth-order method of Cox and Matthews (2002), ETDRK4: exact for what decays alone.
 
     Without decay it is the classical Runge-Kutta method.
     """
     half, whole = _phi(decay * h / 2), _phi(decay * h)
     fade, fades = ca.exp(decay * h / 2), ca.exp(decay * h)
-
-    def rest(at: ca.SX, reach: float) -> ca.SX:
-        return rates(at, reach) - decay * at
 
     start = rest(z, 0.0)
     first = z * fade + h / 2 * half[0] * start
