@@ -12,7 +12,7 @@ from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import relative_squares
-from undertow.identification.estimation.predictor import Predictor, estimated_starts, predict
+from undertow.identification.estimation.predictor import Predictor, StartProblem, predict
 from undertow.identification.estimation.shooting import Shooting
 from undertow.identification.estimation.windows import (
     Prediction,
@@ -309,14 +309,15 @@ def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:
     def report(starts: np.ndarray) -> np.ndarray:
         return (starts[:, :1] + starts[:, 1:] * t)[:, :, None] / SIGMA
 
-    found = estimated_starts(report, measured, np.zeros((1, 2)), np.array([10.0, 10.0]))
+    found, _ = StartProblem(report, measured, np.zeros((1, 2)), np.array([10.0, 10.0])).solved()
     np.testing.assert_allclose(found, [[2.0, 3.0]], atol=1e-5)
 
 
 def test_a_start_that_cannot_be_simulated_stays_where_it_is() -> None:
-    found = estimated_starts(
+    nowhere = StartProblem(
         lambda s: np.full((len(s), 4, 1), np.nan), np.ones((1, 4, 1)), np.ones((1, 2)), np.ones(2)
     )
+    found, _ = nowhere.solved()
     np.testing.assert_array_equal(found, 1.0)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -50,11 +51,13 @@ SETTINGS = StartSettings()
 class SegmentStart:
     """States at the beginning of every segment of the logs for one set of parameters.
 
-    state: (segments, nx); scale: (size,), uncertainty of each own state there.
+    state: (segments, nx); scale: (size,), uncertainty of each own state there; linear: the problem of
+    estimating the states, linearised there.
     """
 
     state: Array
     scale: Array
+    linear: LinearisedStarts
 
 
 class InternalStates:
@@ -77,7 +80,7 @@ class InternalStates:
         """Memory and actuator states at the start of every window, (b, size), and where the segments begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
-        parameters close by, `near`, it is a step or two.
+        parameters close by, `near`, it is one step.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -90,7 +93,7 @@ class InternalStates:
         delayed = [shifted_mean(run.t, u, delay) if delay else u for run, u in command_logs]
         rest = self._at_rest(commands.u[:, 0], opening.t[:, 0], p)
         along = partial(self._along, windows, segments, delayed, p)
-        scale, found = (self._scale(along(rest)), None) if near is None else (near.scale, near.state)
+        scale = self._scale(along(rest)) if near is None else near.scale
         noise = _noise(windows)
         deviation = np.concatenate([SETTINGS.motion * noise, scale])
         start = np.column_stack([motion[first], rest])
@@ -100,10 +103,11 @@ class InternalStates:
             return self._simulate(trials, opening.t[rows], commands[rows], p, opening.start[rows]) / noise
 
         measured = np.where(np.isfinite(opening.measured), opening.measured / noise, np.nan)
-        state = estimated_starts(report, measured, start, deviation, found)
+        problem = StartProblem(report, measured, start, deviation)
+        state, linear = problem.solved() if near is None else (problem.next_to(near), near.linear)
         for rows, states in zip(segments, along(state[:, -self.size :]), strict=True):
             own[rows] = states[windows.first[rows] - windows.first[rows[0]]]
-        return own, SegmentStart(state, scale)
+        return own, SegmentStart(state, scale, linear)
 
     # --- along the log ------------------------------------------------------------------------
     def _at_rest(self, u: Array, t: Array, p: Array) -> Array:
@@ -186,57 +190,80 @@ def _noise(windows: Windows) -> Array:
 _DIVERGED = 1e300
 
 
-def estimated_starts(
-    report: Callable[[Array], Array],
-    measured: Array,
-    start: Array,
-    deviation: Array,
-    first: Array | None = None,
-) -> Array:
-    """Starts (b, m) that best explain the following samples, by Gauss-Newton with the given ones as prior.
+class LinearisedStarts(NamedTuple):
+    """Reports linearised in the starts, these in units of their prior, (b, m, k c), and the inverse of the
+    information on them, (b, m, m); zero where a simulation diverged.
+    """
+
+    slope: Array
+    inverse: Array
+
+    def step(self, residual: Array, moved: Array) -> Array:
+        """Gauss-Newton step, (b, m), from a residual (b, k c)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            right = (self.slope @ residual[..., None])[..., 0] - moved
+            found = (self.inverse @ right[..., None])[..., 0]
+        return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, 0.0)
+
+
+@dataclass(frozen=True)
+class StartProblem:
+    """Starts (b, m) that best explain the following samples, with the given ones as prior.
 
     `report` gives what follows of b r starts, r trials for each log in turn, (b r, k, c); it and `measured`
     (b, k, c) are in units of the noise, NaN where nothing was measured. `deviation` (m,) is the standard
-    deviation of the prior; the search begins at `first` (b, m), where given.
+    deviation of the prior.
     """
-    used = np.isfinite(measured)[:, None]
-    known = np.where(used, measured[:, None], 0.0)
 
-    def residual(moved: Array) -> Array:
+    report: Callable[[Array], Array]
+    measured: Array
+    start: Array
+    deviation: Array
+
+    def solved(self) -> tuple[Array, LinearisedStarts]:
+        """The starts by Gauss-Newton steps, and the last linearised problem."""
+        moved = np.zeros_like(self.start)
+        falls: list[Array] = []
+        for _ in range(SETTINGS.rounds):
+            linear, r = self._linearised(moved)
+            step = linear.step(r, moved)
+            trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
+            with np.errstate(over="ignore"):
+                cost = np.sum(self._residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
+            cost = np.nan_to_num(cost, nan=_DIVERGED, posinf=_DIVERGED)
+            best = np.argmin(cost, axis=1)
+            moved = trials[np.arange(len(best)), best]
+            falls.append(cost[:, -1] - cost[np.arange(len(best)), best])
+            if not np.any(falls[-1] > SETTINGS.least_fall * falls[0]):
+                break
+        return self.start + moved * self.deviation, linear
+
+    def next_to(self, near: SegmentStart) -> Array:
+        """The starts from those at parameters close by, whose linearised problem still holds."""
+        moved = (near.state - self.start) / self.deviation
+        step = near.linear.step(self._residual(moved[:, None])[:, 0], moved)
+        return self.start + (moved + step) * self.deviation
+
+    def _residual(self, moved: Array) -> Array:
         """Measured minus reported for trials of shape (b, r, m), shape (b, r, k c)."""
         b, r, m = moved.shape
-        y = report((start[:, None] + moved * deviation).reshape(b * r, m))
+        y = self.report((self.start[:, None] + moved * self.deviation).reshape(b * r, m))
+        used = np.isfinite(self.measured)[:, None]
+        known = np.where(used, self.measured[:, None], 0.0)
         return np.where(used, known - y.reshape(b, r, *y.shape[1:]), 0.0).reshape(b, r, -1)
 
-    moved = np.zeros_like(start) if first is None else (first - start) / deviation
-    falls: list[Array] = []
-    for _ in range(SETTINGS.rounds):
-        step = _gauss_newton(residual, moved)
-        trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
-        with np.errstate(over="ignore"):
-            cost = np.sum(residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
-        cost = np.nan_to_num(cost, nan=_DIVERGED, posinf=_DIVERGED)
-        best = np.argmin(cost, axis=1)
-        moved = trials[np.arange(len(best)), best]
-        falls.append(cost[:, -1] - cost[np.arange(len(best)), best])
-        if not np.any(falls[-1] > SETTINGS.least_fall * falls[0]):
-            break
-    return start + moved * deviation
-
-
-def _gauss_newton(residual: Callable[[Array], Array], moved: Array) -> Array:
-    """Step in units of the prior, shape (b, m); zero where a simulation diverged."""
-    m = moved.shape[1]
-    r = residual(moved[:, None] + np.vstack([np.zeros(m), SETTINGS.secant * np.eye(m)]))
-    with np.errstate(over="ignore", invalid="ignore"):
-        slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
-        gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
-        right = (slope @ r[:, 0, :, None])[:, :, 0] - moved
-    good = np.isfinite(right).all(axis=1) & np.isfinite(gram).all(axis=(1, 2))
-    step = np.zeros_like(moved)
-    # Where reports are extremely sensitive to the start, the prior is lost in rounding: no step that way.
-    step[good] = (np.linalg.pinv(gram[good], hermitian=True) @ right[good][:, :, None])[:, :, 0]
-    return step
+    def _linearised(self, moved: Array) -> tuple[LinearisedStarts, Array]:
+        """The problem linearised by differences, and the residual (b, k c)."""
+        m = moved.shape[1]
+        r = self._residual(moved[:, None] + np.vstack([np.zeros(m), SETTINGS.secant * np.eye(m)]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            slope = (r[:, :1] - r[:, 1:]) / SETTINGS.secant
+            gram = slope @ np.swapaxes(slope, 1, 2) + np.eye(m)
+        good = np.isfinite(r).all(axis=(1, 2)) & np.isfinite(gram).all(axis=(1, 2))
+        inverse = np.zeros_like(gram)
+        # Where reports are extremely sensitive to the start, the prior is lost in rounding: no step that way.
+        inverse[good] = np.linalg.pinv(gram[good], hermitian=True)
+        return LinearisedStarts(slope, inverse), r[:, 0]
 
 
 @dataclass(frozen=True)
