@@ -94,11 +94,15 @@ def _lag() -> PropagatedState:
     return PropagatedState(z, Inputs([u], p, t, dt), p, rate, lambda state, share: state[0] * state[1])
 
 
+def _states(start: np.ndarray, u: np.ndarray, p: np.ndarray, t: np.ndarray, dt: np.ndarray) -> np.ndarray:
+    return _lag().side_by_side(start[None], [(u, t, dt)], p)[0]
+
+
 def test_a_first_order_lag_is_carried_as_it_is_solved() -> None:
     rng = np.random.default_rng(4)
     dt, u = rng.uniform(0.02, 0.05, 60), rng.standard_normal((60, 1))
     p = np.array([0.4, 1.0])
-    states = _lag().states(np.array([0.5, 0.0]), [u], p, np.cumsum(dt) - dt, dt)
+    states = _states(np.array([0.5, 0.0]), u, p, np.cumsum(dt) - dt, dt)
     exact = [0.5]
     for step, command in zip(dt, u[:, 0], strict=True):
         exact.append(command + (exact[-1] - command) * np.exp(-step / p[0]))
@@ -112,7 +116,7 @@ def test_logs_side_by_side_are_carried_as_each_by_itself() -> None:
     for found, start, (u, t, dt), own in zip(
         _lag().side_by_side(starts, logs, p), starts, logs, p, strict=True
     ):
-        assert np.array_equal(found, _lag().states(start, [u], own, t, dt))
+        assert np.array_equal(found, _states(start, u, own, t, dt))
 
 
 def test_carried_derivatives_are_those_of_finite_differences() -> None:
@@ -123,11 +127,11 @@ def test_carried_derivatives_are_those_of_finite_differences() -> None:
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moved = start + start_slope @ (x[:2] - p) + x[2:]
-        states = carried.states(moved, [u], x[:2], t, dt)
+        states = _states(moved, u, x[:2], t, dt)
         return states, carried.along(states, start_slope, [u], x[:2], t, dt)[1]
 
     x = np.concatenate([p, np.zeros(2)])
-    slopes, _, means = carried.along(carried.states(start, [u], p, t, dt), start_slope, [u], p, t, dt)
+    slopes, _, means = carried.along(_states(start, u, p, t, dt), start_slope, [u], p, t, dt)
     for k, step in enumerate(1e-6 * np.eye(4)):
         for found, high, low in zip((slopes, means), at(x + step), at(x - step), strict=True):
             np.testing.assert_allclose(found[:, :, k], (high - low) / 2e-6, atol=1e-8)

@@ -85,7 +85,7 @@ int AT_SAMPLES(int64_t samples, const Tape *tape, const double *const *in, const
 
 /* --- a state from step to step ----------------------------------------------------------------------- */
 
-#define CHAINS 16 /* side by side: enough that what an instruction is takes less time than to do it */
+#define CHAINS 4 /* side by side: with more, most would be done for nothing, since logs differ in length */
 
 EXPORTED int CARRY(int64_t steps, int64_t chains, const Tape *tape, int64_t arguments, const double *const *in,
                    const int64_t *in_stride, const int64_t *in_step, double *state, int64_t size);

@@ -506,7 +506,7 @@ def _without_superfluous(found: Search, validator: SimulationValidator) -> Searc
 def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, EffectSet] | None:
     """Place of the first of several effects that the others do without, and those; None if all are needed.
 
-    They leave only noise without it, and simulate as well.
+    They leave only noise without it, and simulate as well; or predictions hardly improve by it.
     """
     winners = found.winners if len(found.winners) > 1 else []
     for place, effect in enumerate(winners):
@@ -514,11 +514,24 @@ def _superfluous(found: Search, validator: SimulationValidator) -> tuple[int, Ef
         # With the parameters that the others need only without it.
         candidates, shorter = [f.trial.candidate for f in others], fitted(found.vehicle, others, found.bench)
         whole = last_fit(shorter.fit, candidates, found.bench.settings)
-        if validator.leaves_only_noise(whole) and not validator.significantly_worse(
+        complete = validator.leaves_only_noise(whole) and not validator.significantly_worse(
             whole, found.effect_set.fit
-        ):
+        )
+        if complete or not _is_worth_adding(effect, whole, found.effect_set.fit, validator):
             return place, shorter
     return None
+
+
+def _is_worth_adding(
+    effect: FoundEffect, without: WeakFit, with_it: WeakFit, validator: SimulationValidator
+) -> bool:
+    """Whether an effect improves predictions by enough to matter.
+
+    Where sensors are precise, errors of the weak form itself are significant and resemble small effects.
+    """
+    before, after = (validator.squares_ahead(validator.final(fit)[0]) for fit in (without, with_it))
+    gain = gain_of_effects(before, after, [effect], validator)
+    return gain.suffices(validator.settings.worth)
 
 
 def _unnecessary(found: Search, validator: SimulationValidator) -> bool:

@@ -73,6 +73,7 @@ def _integral_at(t: Array, total: Array, held: Array, when: Array) -> Array:
 
 
 _SUBSTEPS = 4
+_CHAINS = 4  # logs that are propagated side by side, as many as the C code takes at once
 Rate = Callable[[ca.SX, float], ca.SX]
 
 
@@ -112,15 +113,22 @@ class PropagatedState:
         results = ca.cse([ca.densify(v) for v in (*tables, self._mean)])
         return ca.Function("slopes", [self._z, *columns, dt, p, t], results)
 
-    def states(self, start: Array, columns: list[Array], p: Array, t: Array, dt: Array) -> Array:
-        """States at the samples and after the last interval, shape (N + 1, n)."""
-        return self.side_by_side(start[None], [(*columns, t, dt)], p)[0]
-
     def side_by_side(self, start: Array, logs: Sequence[tuple[Array, ...]], p: Array) -> list[Array]:
-        """The same of S logs, each with its columns, t and dt, from starts (S, n); p may be (S, n_p)."""
-        *columns, t, dt = map(_padded, zip(*logs, strict=True))
-        states = carried(self._step, start, [*columns, t[..., None], dt[..., None], p], len(dt))
-        return [states[: len(log[-1]) + 1, i] for i, log in enumerate(logs)]
+        """States of S logs at the samples and after the last interval, shape (N + 1, n) each.
+
+        A log is its columns, t and dt; start: (S, n); p: (n_p,) or (S, n_p).
+
+        Logs of about the same length are propagated together: a shorter one takes as long as the longest.
+        """
+        found: dict[int, Array] = {}
+        order = sorted(range(len(logs)), key=lambda i: -len(logs[i][-1]))
+        for begin in range(0, len(order), _CHAINS):
+            rows = order[begin : begin + _CHAINS]
+            *columns, t, dt = map(_padded, zip(*(logs[i] for i in rows), strict=True))
+            own = p[rows] if p.ndim > 1 else p
+            states = carried(self._step, start[rows], [*columns, t[..., None], dt[..., None], own], len(dt))
+            found |= {i: states[: len(logs[i][-1]) + 1, k] for k, i in enumerate(rows)}
+        return [found[i] for i in range(len(logs))]
 
     def along(
         self, states: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
@@ -430,15 +438,23 @@ class Memory:
 
     def along(self, t: Array, measured: Array, actuation: Array, u: Array, p: Array) -> DrivenSignal:
         """States at the samples, zero at the first; the motion is taken as linear between samples."""
-        size, count = self.functions.memory.shape[0], len(t)
+        return self.along_each([(t, measured, actuation, u, p)])[0]
+
+    def along_each(self, logs: Sequence[tuple[Array, Array, Array, Array, Array]]) -> list[DrivenSignal]:
+        """The same along several logs (t, measured, actuation, u, p)."""
+        size = self.functions.memory.shape[0]
         if size == 0:
-            return _empty(count, len(self.free))
-        columns = [measured[:-1], measured[1:], actuation[:-1], u[:-1]]
-        start, slope = np.zeros(size), np.zeros((size, len(self._dependent)))
-        inside = columns, p, t[:-1], np.diff(t)
-        states = self._propagated.states(start, *inside)
-        slopes, _, _ = self._propagated.along(states, slope, *inside)
-        return _driven_signal(states, slopes, self._dependent, len(self.free))
+            return [_empty(len(t), len(self.free)) for t, *_ in logs]
+        slope = np.zeros((size, len(self._dependent)))
+        inside = [([y[:-1], y[1:], a[:-1], u[:-1]], t[:-1], np.diff(t)) for t, y, a, u, _ in logs]
+        own = np.array([p for *_, p in logs])
+        along = [(*columns, t, dt) for columns, t, dt in inside]
+        every = self._propagated.side_by_side(np.zeros((len(logs), size)), along, own)
+        found = []
+        for states, (columns, t, dt), p in zip(every, inside, own, strict=True):
+            slopes, _, _ = self._propagated.along(states, slope, columns, p, t, dt)
+            found.append(_driven_signal(states, slopes, self._dependent, len(self.free)))
+        return found
 
     @cached_property
     def _rates(self) -> ca.SX:

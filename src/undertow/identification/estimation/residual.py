@@ -482,7 +482,7 @@ class WeakModel:
         self, along: Sequence[_SegmentInputs], windows: Supports, rows: tuple[int, ...]
     ) -> list[Linearised]:
         """Residual of segments at once: many are short, and a call takes as long as hundreds of samples."""
-        memories = [self._memory.along(s.t, s.measured, a.value, s.u, p) for s, a, p in along]
+        memories = self._memory.along_each([(s.t, s.measured, a.value, s.u, p) for s, a, p in along])
         each = list(zip(along, memories, strict=True))
         actuation, memory = Actuation.along_all([a for _, a, _ in along]), DrivenSignal.joined(memories)
         inputs = _stacked([self._inputs(s, a, m.value, p) for (s, a, p), m in each])
