@@ -30,15 +30,17 @@ from undertow.identification.diagnosis.evidence import (
     with_longer_blocks,
     without_redundant_effects,
 )
+from undertow.identification.diagnosis.search import search
 from undertow.identification.diagnosis.settings import Settings
 from undertow.identification.diagnosis.splitting import repeats
 from undertow.identification.diagnosis.trial import best_start, screen, try_candidate
-from undertow.identification.diagnosis.validation import worse_by_rank_test
+from undertow.identification.diagnosis.validation import SimulationValidator, worse_by_rank_test
 from undertow.identification.diagnosis.verdict import equivalents, moved_parameters
 from undertow.identification.estimation.data import WeakData, clustered, prepare, summed_scores
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.identification.result_builder import validated
 from undertow.model.catalogue import catalogue
 
 _ROWS, _PER_BLOCK = 600, 20
@@ -236,6 +238,25 @@ def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:
     assert worse_by_rank_test(squares + 0.5, squares)
     assert worse_by_rank_test(np.full(20, np.inf), squares)
     assert not worse_by_rank_test(squares, squares)
+
+
+@pytest.mark.parametrize(("strength", "needed"), [(0.03, False), (0.3, True)])
+def test_an_effect_beside_another_has_to_improve_predictions_by_enough_to_matter(
+    strength: float, needed: bool
+) -> None:
+    """A steady force of 7 or 70 mN beside missing drag: both are significant, sensors are that precise."""
+    case = make_case(
+        "box", ("quadratic_damping", "constant_force"), 7, strength=strength, noise=0.3, duration=50
+    )
+    runs, vehicle = runs_of(case), vehicle_of(case)
+    train = prepare(runs[:3], vehicle)
+    test = prepare(runs[3:], vehicle, sigma=train.sigma)
+    known = {name: catalogue()[name] for name in ("quadratic_damping", "constant_force")}
+    found = search(vehicle, train, test, known, residual_is_noise=lambda fit, data: False)
+    assert [f.id for f in found.winners] == ["quadratic_damping", "constant_force"]
+    validator = SimulationValidator(found.vehicle, train.runs, test.runs, train.sigma)
+    kept = [f.id for f in validated(found, validator).winners]
+    assert kept == ["quadratic_damping", "constant_force"][: 1 + needed]
 
 
 @pytest.mark.parametrize(("windows", "worse"), [(4, False), (5, True), (6, True), (7, True)])
