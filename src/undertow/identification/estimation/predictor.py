@@ -139,8 +139,7 @@ class InternalStates:
 
     def _measured(self, windows: Windows, run: int, piece: slice, p: Array) -> Array:
         """Pose and velocity as reported in part of a run, each at the time that it was true."""
-        log = windows.runs[run]
-        return self._sensor_delay.aligned_signals(log.t[piece], log.known(windows.names)[piece], p)
+        return self._sensor_delay.aligned_signals(windows.runs[run].t[piece], windows.motion[run][piece], p)
 
     @cached_property
     def _propagated(self) -> PropagatedState:

@@ -253,9 +253,7 @@ class SensorDelay:
             return of(segments)
         seconds = [self.seconds(q) for q in p]
         functions = [_usable_functions(s, late) for s, late in zip(segments, seconds, strict=True)]
-        moved = [
-            _moved(s, late) if n else s for s, late, n in zip(segments, seconds, functions, strict=True)
-        ]
+        moved = [_moved(s, late) if n else s for s, late, n in zip(segments, seconds, functions, strict=True)]
         parts = of(moved)
         slopes = np.array([self._slopes(q) * (n > 0) for q, n in zip(p, functions, strict=True)])
         # From the smoothed rate: differentiated noise would suggest a precision that does not exist.

@@ -81,7 +81,7 @@ class Windows:
         """Which samples are not padding, shape (b, k)."""
         return np.asarray(np.arange(self.t.shape[1]) < self.count[:, None])
 
-    @property
+    @cached_property
     def rms(self) -> Array:
         """Root mean square of the reports of every channel, (2n,); zero for one without."""
         count = np.isfinite(self.measured).sum(axis=(0, 1))
@@ -91,6 +91,11 @@ class Windows:
     def held(self) -> list[Array]:
         """Commands in every run, as `held_commands` gives them."""
         return held_commands(self.runs, self.commands)
+
+    @cached_property
+    def motion(self) -> list[Array]:
+        """Pose and velocity in every run, (N, 2n); zero for a channel that it lacks."""
+        return [run.known(self.names) for run in self.runs]
 
     @cached_property
     def undelayed_commands(self) -> WindowCommands:
