@@ -11,8 +11,8 @@ import pytest
 from tests.control.loops import AUV, CREEPING, GOAL, WITH_CORIOLIS, loop, run
 from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Overrides, Push, Scenario
+from undertow.control.closed_loop.interconnection import SampledLoop
 from undertow.control.closed_loop.measures import divergence, implausible
-from undertow.control.closed_loop.parts import SampledLoop
 from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.errors import UndertowError

@@ -17,7 +17,7 @@ from undertow import UndertowError
 from undertow.cli.main import main
 from undertow.codegen import Functions, Simulator
 from undertow.control import as_controller, as_nlsys, close_loop, find_trim, in_direction, linearize
-from undertow.control.closed_loop.parts import SampledLoop
+from undertow.control.closed_loop.interconnection import SampledLoop
 from undertow.control.gains import load_gains
 from undertow.control.linear import analysis
 from undertow.control.linear.analysis import margins, minimal, modes, multiloop_disk_margin, sampled_gramian

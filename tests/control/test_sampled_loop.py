@@ -9,8 +9,8 @@ import pytest
 
 from tests.control.loops import GOAL, law_of, loop, run
 from undertow.control.closed_loop import ClosedLoop, Push, Scenario
+from undertow.control.closed_loop.interconnection import SampledLoop, sampling_offsets
 from undertow.control.closed_loop.measures import find_cycle
-from undertow.control.closed_loop.parts import SampledLoop, sampling_offsets
 from undertow.control.gains import GainTable, gains_from_table
 from undertow.errors import UndertowError
 from undertow.model.loading import load_vehicle

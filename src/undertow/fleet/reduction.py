@@ -72,7 +72,7 @@ class Panel:
         vehicle = self.vehicle
         present = any(e.id == effect.id for e in vehicle.all_effects)
         possible = not (effect.built_in or present or vehicle.lacks(effect))
-        return possible and effect.suits(vehicle.degrees_of_freedom)
+        return possible and effect.observable_in(vehicle.degrees_of_freedom)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

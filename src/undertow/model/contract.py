@@ -30,7 +30,11 @@ def complaints_of(cls: type[Effect], known: Catalogue) -> Iterator[tuple[str, st
     yield "id", "is an identifier of its own", _id_complaints(cls, known)
     yield "documentation", "meaning, family, reference and signature are stated", _text_complaints(cls)
     yield "requires", "the effects that it shares parameters of exist", _requires_complaints(cls, known)
-    yield "taken", "what it takes from other effects can be stated there", _taken_complaints(cls, known)
+    yield (
+        "shared_quantities",
+        "what it takes from other effects can be stated there",
+        _shared_complaints(cls, known),
+    )
     yield "names", "parameter names are identifiers of their own", _name_complaints(cls, known)
     yield "bounds", "bounds, defaults and search starts fit each other", _bounds_complaints(cls)
     both = issubclass(cls, Wrench) and cls.workless and cls.dissipative
@@ -77,18 +81,18 @@ def _keys(effect: Effect) -> dict[str, str]:
     return {p.name: p.unit for p in effect.parameters} | effect.file_units()
 
 
-def _taken_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
+def _shared_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:
     own = _keys(cls.specimen())
-    for taken in cls.taken:
-        key = taken.key
-        if taken.owner not in known:
-            yield f"'{key}' is taken from '{taken.owner}', which is not a known effect: correct the id"
+    for quantity in cls.shared_quantities:
+        key = quantity.key
+        if quantity.owner not in known:
+            yield f"'{key}' is taken from '{quantity.owner}', which is not a known effect: correct the id"
             continue
-        units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[taken.owner].specimen())}
-        for unknown in sorted({key, *taken.unless} - own.keys()):
-            yield f"taken names '{unknown}', which is not a key of the effect's table: correct it"
-        for unknown in sorted({str(x) for f in taken.formulas for x in f.free_symbols} - units.keys()):
-            yield f"'{key}' is taken from '{unknown}', not a key of '{taken.owner}': correct the formula"
+        units = {"rho": "kg/m^3", "g": "m/s^2", **_keys(known[quantity.owner].specimen())}
+        for unknown in sorted({key, *quantity.unless} - own.keys()):
+            yield f"shared_quantities names '{unknown}', which is not a key of the effect's table: correct it"
+        for unknown in sorted({str(x) for f in quantity.formulas for x in f.free_symbols} - units.keys()):
+            yield f"'{key}' is taken from '{unknown}', not a key of '{quantity.owner}': correct the formula"
 
 
 def _name_complaints(cls: type[Effect], known: Catalogue) -> Iterator[str]:

@@ -86,7 +86,9 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
         details=" ".join(details.split()),
         equations=tuple(_equations(statement)),
         legend=dict(_legend(statement)),
-        parameters=tuple(_parameter_note(p, {t.key for t in cls.taken}) for p in _as_declared(cls)),
+        parameters=tuple(
+            _parameter_note(p, {t.key for t in cls.shared_quantities}) for p in _as_declared(cls)
+        ),
         also_in_files=cls.file_units(),
         from_logs={d.name: f"{d.about}, {short_unit(d.unit)}" for d in logged(cls)},
         requires=cls.requires,

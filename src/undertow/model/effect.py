@@ -27,7 +27,7 @@ from .parameter import (  # noqa: F401
     PerSurface,
     PerThruster,
     Place,
-    Taken,
+    SharedQuantity,
     declared,
     logged,
 )
@@ -79,13 +79,13 @@ class Effect(abc.ABC):
     of_shape : bool
         True for effects computed from the shape of a hull, with more parameters than a log could determine;
         never a candidate.
-    weighed : bool
+    known_by_design : bool
         True if the values come from weighing and drawings, and errors in them are separate effects (water in
         the hull, net buoyancy, a shifted centre of buoyancy).
     scales_with : str
         "drag" or "inertia" if all its coefficients grow by a common factor as the hull becomes rough, fouled
         or damaged, which fleet analysis looks for; else empty.
-    taken : tuple of Taken
+    shared_quantities : tuple of SharedQuantity
         Keys of its table that another effect states as well: the mass of one is the weight of the other.
     former_keys : tuple of str
         Keys of `file_units` that used to be parameters: if marked for estimation, so are those they become.
@@ -109,9 +109,9 @@ class Effect(abc.ABC):
     series_of: ClassVar[tuple[str, ...]] = ()
     built_in: ClassVar[bool] = False
     of_shape: ClassVar[bool] = False
-    weighed: ClassVar[bool] = False
+    known_by_design: ClassVar[bool] = False
     scales_with: ClassVar[Literal["", "drag", "inertia"]] = ""
-    taken: ClassVar[tuple[Taken, ...]] = ()
+    shared_quantities: ClassVar[tuple[SharedQuantity, ...]] = ()
     former_keys: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
@@ -176,14 +176,14 @@ class Effect(abc.ABC):
         return {}
 
     @classmethod
-    def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+    def reconciled(cls, values: Mapping[str, float], shared: Mapping[str, float]) -> dict[str, float]:
         """Fitted `values` rewritten, with the same physics, to agree with values stated in other tables.
 
         Parameters
         ----------
         values : mapping
             Parameters by name; missing ones were found to be zero.
-        taken : mapping
+        shared : mapping
             What other tables of the file state, by key.
         """
         return dict(values)
@@ -261,7 +261,7 @@ class Effect(abc.ABC):
         return []
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         """Whether a vehicle with these degrees of freedom (surge, sway, ...) can show the effect at all."""
         return True
 

@@ -22,7 +22,7 @@ from .effect import Effect, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
-from .parameter import Taken, printed
+from .parameter import SharedQuantity, printed
 from .plausibility import check_vehicle
 from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .tables import (
@@ -75,53 +75,57 @@ class Statements:
                 found[key] = printed(parameters[key], number, self.signs) if key in parameters else number
         return found
 
-    def taken(self, effect: Effect) -> dict[str, float]:
+    def shared(self, effect: Effect) -> dict[str, float]:
         """Values of an effect that other tables state and its own does not, by key, SI."""
         own = self.tables.get(effect.id, {})
-        stated = {t.key: self._from_owner(t) for t in effect.taken if not {t.key, *t.unless} & own.keys()}
+        stated = {
+            t.key: self._from_owner(t)
+            for t in effect.shared_quantities
+            if not {t.key, *t.unless} & own.keys()
+        }
         return {k: v for k, v in stated.items() if v is not None}
 
     def completed(self) -> dict[str, dict[str, Any]]:
         """The tables with what each takes from others."""
         tables = {}
         for effect in self.effects:
-            tables[effect.id], taken = dict(self.tables[effect.id]), self.taken(effect)
-            for t in effect.taken:
-                if t.key in taken:
+            tables[effect.id], shared = dict(self.tables[effect.id]), self.shared(effect)
+            for t in effect.shared_quantities:
+                if t.key in shared:
                     source = f"taken from [effects.{t.owner}]"
-                    tables[effect.id][t.key] = ParameterTable(value=taken[t.key], source=source)
+                    tables[effect.id][t.key] = ParameterTable(value=shared[t.key], source=source)
         return tables
 
-    def _from_owner(self, taken: Taken) -> float | None:
-        formula = self._formula(taken)
+    def _from_owner(self, quantity: SharedQuantity) -> float | None:
+        formula = self._formula(quantity)
         if formula is None:
             return None
-        return float(formula.subs(_in_symbols({**self.environment, **self._own[taken.owner]})))
+        return float(formula.subs(_in_symbols({**self.environment, **self._own[quantity.owner]})))
 
-    def _formula(self, taken: Taken) -> sm.Expr | None:
+    def _formula(self, quantity: SharedQuantity) -> sm.Expr | None:
         """The first formula whose keys are all stated; None also where the owner is not there."""
-        stated = self._own.get(taken.owner)
+        stated = self._own.get(quantity.owner)
         if stated is None:
             return None
         known = set(map(symbol, {**self.environment, **stated}))
-        return next((f for f in taken.formulas if f.free_symbols <= known), None)
+        return next((f for f in quantity.formulas if f.free_symbols <= known), None)
 
     def multiples(self) -> dict[str, tuple[str, float]]:
         """Parameters taken from others that are a multiple of one, with its name and the factor: W = g m."""
         return dict(pair for effect in self.effects for pair in self._multiples_of(effect))
 
     def _multiples_of(self, effect: Effect) -> Iterator[tuple[str, tuple[str, float]]]:
-        open_ = {p.name for p in effect.parameters} & self.taken(effect).keys()
-        for taken in (t for t in effect.taken if t.key in open_):
-            formula = self._formula(taken)
+        open_ = {p.name for p in effect.parameters} & self.shared(effect).keys()
+        for quantity in (t for t in effect.shared_quantities if t.key in open_):
+            formula = self._formula(quantity)
             if formula is None:
                 continue
             scaled = formula.subs(_in_symbols(self.environment))
             for other in scaled.free_symbols:
                 if (factor := scaled / other).is_number:
-                    yield taken.key, (str(other), float(factor))
+                    yield quantity.key, (str(other), float(factor))
 
-    def errors_of_taken(self, effect: Effect, values: Mapping[str, Value]) -> dict[str, float]:
+    def errors_of_shared(self, effect: Effect, values: Mapping[str, Value]) -> dict[str, float]:
         """Standard deviations of what an effect takes from quantities that are to be found: the weight."""
         owners = {key: (values.get(other), factor) for key, (other, factor) in self._multiples_of(effect)}
         return {
@@ -136,33 +140,35 @@ class Statements:
 
     def _difference(self, effect: Effect, key: str, entry: Any) -> Iterator[str]:
         place = f"[effects.{effect.id}] {key}"
-        taken = next((t for t in effect.taken if t.key == key), None)
+        quantity = next((t for t in effect.shared_quantities if t.key == key), None)
         meant = bool(field_of(entry, "override"))
-        if taken is None or taken.only_where_silent:
+        if quantity is None or quantity.only_if_missing:
             if meant:
                 raise UndertowError(
                     f"{place} overrides nothing, since no other table states it: remove 'override'"
                 )
             return
-        elsewhere, raw = self._from_owner(taken), field_of(entry, "value")
+        elsewhere, raw = self._from_owner(quantity), field_of(entry, "value")
         if meant or elsewhere is None or raw is None:
             return
-        value = si_of(place, raw, taken.unit)
-        if not isclose(value, elsewhere, rel_tol=taken.rounding, abs_tol=_NOTHING):
+        value = si_of(place, raw, quantity.unit)
+        if not isclose(value, elsewhere, rel_tol=quantity.rounding, abs_tol=_NOTHING):
             # What a fit found must fit into a file, and it may have moved what the owner states.
-            names = {str(x) for formula in taken.formulas for x in formula.free_symbols}
-            entries = [entry, *(e for n, e in self.tables.get(taken.owner, {}).items() if n in names)]
+            names = {str(x) for formula in quantity.formulas for x in formula.free_symbols}
+            entries = [entry, *(e for n, e in self.tables.get(quantity.owner, {}).items() if n in names)]
             fitted = any(field_of(e, "estimate") for e in entries)
-            yield _difference_text(place, value, elsewhere, taken, most=inf if fitted else taken.most)
+            yield _difference_text(place, value, elsewhere, quantity, most=inf if fitted else quantity.most)
 
 
 def _in_symbols(values: Mapping[str, float]) -> dict[sm.Symbol, sm.Float]:
     return {symbol(n): sm.Float(v) for n, v in values.items()}
 
 
-def _difference_text(place: str, value: float, elsewhere: float, taken: Taken, most: float) -> str:
-    other = f"{taken.words or taken.key} = {elsewhere:g} {taken.unit} by [effects.{taken.owner}]"
-    line = f"{place} = {value:g} {taken.unit}, but {other}"
+def _difference_text(
+    place: str, value: float, elsewhere: float, quantity: SharedQuantity, most: float
+) -> str:
+    other = f"{quantity.words or quantity.key} = {elsewhere:g} {quantity.unit} by [effects.{quantity.owner}]"
+    line = f"{place} = {value:g} {quantity.unit}, but {other}"
     override = "write { value = ..., override = true } if the difference is intended"
     how = f"remove it to use the latter, or {override}"
     if max(abs(value), abs(elsewhere)) > most * min(abs(value), abs(elsewhere)):
@@ -283,7 +289,7 @@ def _vehicle_and_remarks(
     for effect in effects:
         values |= _effect_values(effect, tables[effect.id], table.signs)
     for effect in effects:  # tables come in any order
-        if known_to := statements.errors_of_taken(effect, values):
+        if known_to := statements.errors_of_shared(effect, values):
             values |= _effect_values(effect, tables[effect.id], table.signs, known_to)
     values |= _hardware_values(table, names, surfaces, values)
     vehicle = Vehicle(

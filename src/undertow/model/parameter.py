@@ -293,7 +293,7 @@ Declaration = Parameter | DerivativeMatrix | Place
 
 
 @dataclass(frozen=True)
-class Taken:
+class SharedQuantity:
     """A quantity shared with another effect's table, so that a file need not state it twice."""
 
     key: str  # the quantity in the effect's own table
@@ -307,7 +307,7 @@ class Taken:
     most: float = inf  # largest ratio of the two, either way, unless the file says ``override = true``
     words: str = ""  # the formula as people write it; the key where it is empty
     # true for the way back: the owner has the first word, and is asked only about what it leaves open
-    only_where_silent: bool = False
+    only_if_missing: bool = False
 
 
 @lru_cache(maxsize=1024)

@@ -355,7 +355,7 @@ def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
     for effect in (e for e in vehicle.effects if e.id not in table.effects):
         own = {p.name: vehicle.value_of(p.name) for p in effect.parameters if p.name in vehicle.values}
         old = {n: v.value for n, v in own.items()}
-        new = effect.reconciled(old, stated.taken(effect))
+        new = effect.reconciled(old, stated.shared(effect))
         changed = {n: v for n, v in new.items() if old.get(n) != v}
         vehicle = vehicle.with_values({n: replace(own.get(n, Value(v)), value=v) for n, v in changed.items()})
     return vehicle
@@ -426,13 +426,13 @@ def _write_effects(document: Any, vehicle: Vehicle, signs: str, history: Mapping
 def _write_effect(
     table: Any, effect: Effect, vehicle: Vehicle, stated: Statements, history: Mapping[str, object] | None
 ) -> None:
-    taken = stated.taken(effect)
-    derived = _derived_elsewhere(table, effect, vehicle, taken)
+    shared = stated.shared(effect)
+    derived = _derived_elsewhere(table, effect, vehicle, shared)
     for parameter in effect.parameters:
         values = vehicle.values_of(parameter)
         if values and parameter.name not in derived:
             wanted = _entry_of(parameter, values, stated.signs)
-            wanted = replace(wanted, override=parameter.name in taken)
+            wanted = replace(wanted, override=parameter.name in shared)
             _write(table, parameter.name, wanted, f"[effects.{effect.id}] {parameter.name}", history)
 
 
@@ -463,18 +463,18 @@ def _write(table: Any, key: str, wanted: Entry, place: str, history: Mapping[str
         append(table, key, entry)
 
 
-def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, taken: Mapping[str, float]) -> set[str]:
+def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, shared: Mapping[str, float]) -> set[str]:
     """Parameters that the file rightly states by other keys (`x_g` for `mx_g`); wrong keys are taken out."""
     units = effect.file_units()
     place = f"[effects.{effect.id}]"
     raw = {k: v if not isinstance(v, Mapping) else v["value"] for k, v in table.items() if k in units}
     own = {k: si_of(f"{place} {k}", v, units[k]) for k, v in raw.items()}
-    aliases = own | {k: v for k, v in taken.items() if k in units}
-    known = {*table, *taken}
+    aliases = own | {k: v for k, v in shared.items() if k in units}
+    known = {*table, *shared}
     direct = {p.name: vehicle.value_of(p.name).value for p in effect.parameters if p.name in known}
     found = effect.from_file(direct | aliases) if aliases else {}
     derived = {n: v for n, v in found.items() if n not in known}
-    derived |= {k: v for k, v in taken.items() if k not in units}
+    derived |= {k: v for k, v in shared.items() if k not in units}
     wrong = set()
     for name, number in derived.items():
         value = vehicle.value_of(name)

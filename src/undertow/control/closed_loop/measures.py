@@ -13,7 +13,7 @@ import numpy as np
 from undertow.model.symbols import FASTEST, MOTION_UNITS
 
 if TYPE_CHECKING:
-    from .parts import Parts
+    from .interconnection import Interconnection
     from .scenario import Scenario
     from .stepping import Rows
 
@@ -228,7 +228,7 @@ class Measures:
 
     def __init__(
         self,
-        parts: Parts,
+        parts: Interconnection,
         scenario: Scenario,
         start: Mapping[str, float],
         to: Mapping[str, float],
@@ -321,7 +321,7 @@ class Measures:
 class _Commands:
     """Accumulated measures of the commands."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Interconnection) -> None:
         self._names, self._indices = parts.controller.command_names, parts.commanded
         self._units = parts.controller.gains.plant.vehicle.input_units
         self._limits = parts.controller.allocation.limits

@@ -18,7 +18,7 @@ from undertow.model.symbols import MOTION_UNITS
 from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
 
 if TYPE_CHECKING:
-    from .parts import Parts
+    from .interconnection import Interconnection
     from .scenario import Scenario
     from .stepping import Rows
 
@@ -152,7 +152,7 @@ def _csv(columns: Mapping[str, np.ndarray]) -> str:
 class Recorder:
     """Keeps every n-th row of a run, with mean and swing of the commands up to the next."""
 
-    def __init__(self, parts: Parts, scenario: Scenario, mission: Mission | None = None) -> None:
+    def __init__(self, parts: Interconnection, scenario: Scenario, mission: Mission | None = None) -> None:
         self._parts, self._scenario, self._stride = parts, scenario, scenario.stride
         self._mission = mission
         rows = -(-scenario.samples // self._stride)

@@ -23,8 +23,8 @@ from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
 from undertow.typing import Progress
 
+from .interconnection import Interconnection, SampledLoop, check_interval, check_steps, sampling_offsets
 from .measures import Measures, implausible
-from .parts import Parts, SampledLoop, check_interval, check_steps, sampling_offsets
 from .record import Record, Recorder
 from .scenario import Scenario, heading
 from .stepping import SIGNALS, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
@@ -126,7 +126,11 @@ _SAMPLES_PER_CALL = 20_000
 
 
 def blocks(
-    parts: Parts, scenario: Scenario, runs: range, stride: int = 1, signals: tuple[str, ...] = SIGNALS
+    parts: Interconnection,
+    scenario: Scenario,
+    runs: range,
+    stride: int = 1,
+    signals: tuple[str, ...] = SIGNALS,
 ) -> Iterator[Block]:
     """Blocks of samples one after the other, so that Ctrl-C takes effect in between.
 
@@ -148,7 +152,7 @@ def blocks(
         yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, signals)
 
 
-def _disturbance(parts: Parts, scenario: Scenario, begin: int, count: int) -> np.ndarray:
+def _disturbance(parts: Interconnection, scenario: Scenario, begin: int, count: int) -> np.ndarray:
     commands = parts.vehicle.command_names
     extra = np.zeros((count, len(commands)))
     t = (begin + np.arange(count)) * scenario.dt
@@ -198,7 +202,7 @@ class ClosedLoop:
         self.mission = mission
         controller = Controller(gains, mission.reference(gains) if mission else None)
         self._compiled = compiled
-        self.parts = Parts(self.vehicle, controller, observer)
+        self.parts = Interconnection(self.vehicle, controller, observer)
         # With late reports the code depends on the sampling interval: it is made when that is known.
         self._stepper = None if observer and observer.late else self._best_stepper()
         self._known_substeps: dict[tuple[float, ...], int] = {}
@@ -218,7 +222,7 @@ class ClosedLoop:
         """Let an observer keep as many samples as its reports are late."""
         observer = self.parts.observer
         if observer is not None and (kept := observer.sampled(dt)).lags != observer.lags:
-            self.parts, self._stepper = Parts(self.vehicle, self.parts.controller, kept), None
+            self.parts, self._stepper = Interconnection(self.vehicle, self.parts.controller, kept), None
 
     @property
     def gains(self) -> GainSet:
@@ -378,7 +382,7 @@ class ClosedLoop:
         """Runge-Kutta steps in an interval that is not too long; kept for the last one asked for."""
         key = (scenario.dt, scenario.continuous, scenario.samples, *start.values(), *to.values())
         if key not in self._known_substeps:
-            still = Parts(self.vehicle, Controller(self.gains)) if self.mission else self.parts
+            still = Interconnection(self.vehicle, Controller(self.gains)) if self.mission else self.parts
             linear = SampledLoop(still, np.array(list(to.values())), desired)
             if scenario.continuous:
                 check_steps(linear, self.parts, scenario.dt, scenario.samples)

@@ -17,7 +17,7 @@ from undertow.codegen.source import c_file, integers, with_entry
 from undertow.errors import UndertowError
 from undertow.observer.design import Design
 
-from .parts import Parts
+from .interconnection import Interconnection
 
 _OF_RUNS = ("p", "r", "k", "x", "s", "command", "commands", "reports")
 
@@ -95,7 +95,7 @@ class Block:
         begin = -(-self.first // self.stride) * self.stride
         return range(begin, self.first + self.samples, self.stride)
 
-    def rows(self, parts: Parts, groups: int, *lanes: int) -> Rows:
+    def rows(self, parts: Interconnection, groups: int, *lanes: int) -> Rows:
         """Rows to be filled, of so many runs or groups of runs in lanes."""
         f, control = parts.functions, parts.control
         sizes = (f.x.numel(), len(parts.reported_names), f.u.numel(), *map(control.size1_out, (1, 2)))
@@ -105,7 +105,7 @@ class Block:
 
 
 def problem_of(
-    parts: Parts,
+    parts: Interconnection,
     start: np.ndarray,
     desired: np.ndarray,
     dt: float,
@@ -168,7 +168,7 @@ class CompiledLoop:
 
     parallel = True
 
-    def __init__(self, parts: Parts, compiler: Compiler) -> None:
+    def __init__(self, parts: Interconnection, compiler: Compiler) -> None:
         self._parts, self.lanes = parts, compiler.lanes
         self._entries = Entries(lambda lanes: loop_source(parts, lanes), compiler)
         self._entries(1)
@@ -197,7 +197,7 @@ def _address(array: np.ndarray | None) -> ctypes.c_void_p:
     return ctypes.c_void_p(None) if array is None else pointer(array)
 
 
-def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
+def loop_source(parts: Interconnection, lanes: int = 1) -> tuple[str, str]:
     """C source of closed loops and the name of the entry point, which carries the hash of the source."""
     form = parts.functions.prepared
     late = parts.observer if parts.observer and parts.observer.past_steps else None
@@ -233,7 +233,7 @@ def loop_source(parts: Parts, lanes: int = 1) -> tuple[str, str]:
     return with_entry(text, "RUN", "run")
 
 
-def _late_observer_c(observer: Design, parts: Parts) -> list[str]:
+def _late_observer_c(observer: Design, parts: Interconnection) -> list[str]:
     """C of the controller behind an observer whose reports come late."""
     sizes = {
         "NZ": observer.z_size,
@@ -252,7 +252,7 @@ class VirtualLoop:
 
     lanes, parallel = 1, False
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Interconnection) -> None:
         self._parts = parts
         self._made: dict[tuple[float | int, ...], ca.Function] = {}
 
@@ -290,7 +290,7 @@ class VirtualLoop:
 
 
 def sample_of(
-    parts: Parts, dt: float, substeps: int = 1, continuous: bool = False, late: Sequence[int] = ()
+    parts: Interconnection, dt: float, substeps: int = 1, continuous: bool = False, late: Sequence[int] = ()
 ) -> ca.Function:
     """One sample of the controller and the motion up to the next, as loop.c has it.
 
@@ -321,7 +321,7 @@ def sample_of(
     return ca.Function("sample", inputs, [x, s, u, sent, seen, y, tau])
 
 
-def _with_law(parts: Parts, state: Sequence[ca.MX], given: tuple[ca.MX, ...]) -> list[ca.MX]:
+def _with_law(parts: Interconnection, state: Sequence[ca.MX], given: tuple[ca.MX, ...]) -> list[ca.MX]:
     """A step of vehicle and law together, the law at every stage."""
     extra, t, h, p, r, k = given
     u = ca.MX.zeros(extra.shape)

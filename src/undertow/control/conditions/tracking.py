@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undertow.control.closed_loop.parts import Parts
+from undertow.control.closed_loop.interconnection import Interconnection
 from undertow.control.closed_loop.simulate import Overrides
 from undertow.control.closed_loop.stepping import sample_of
 from undertow.control.controller import GATE, Controller
@@ -479,7 +479,7 @@ def _leg_row(
         reference.pitches,
         reference.uncontrolled,
     )
-    parts = Parts(vehicle, Controller(gains, endless))
+    parts = Interconnection(vehicle, Controller(gains, endless))
     step, names = _sampled_map(parts)
     state, change = _steady_state(parts, mission, endless, step)
     statement = f"all poles on {leg} decay"
@@ -501,7 +501,7 @@ def _leg_row(
     return _row(leg, statement, about, margin, True, where, "linearisation of the sampled loop")
 
 
-def _sampled_map(parts: Parts) -> tuple[ca.Function, list[str]]:
+def _sampled_map(parts: Interconnection) -> tuple[ca.Function, list[str]]:
     """One sample of the loop as a map of its states, and their names."""
     f, control = parts.functions, parts.control
     nx, nu = f.x.numel(), f.u.numel()
@@ -514,7 +514,7 @@ def _sampled_map(parts: Parts) -> tuple[ca.Function, list[str]]:
 
 
 def _steady_state(
-    parts: Parts, mission: Mission, reference: LineOfSight, step: ca.Function
+    parts: Interconnection, mission: Mission, reference: LineOfSight, step: ca.Function
 ) -> tuple[Array, float]:
     """The state after a long way along the leg, and how much what counts still changes in a second."""
     guidance, speed = mission.guidance, mission.limits.speed

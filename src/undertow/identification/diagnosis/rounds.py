@@ -350,9 +350,9 @@ def _preferred(
 
 # --- which values ---------------------------------------------------------------------------------
 def _fixed(bench: Bench) -> tuple[str, ...]:
-    """Fixed values without a corresponding effect: all except weighed and measured ones."""
+    """Fixed values without a corresponding effect: all except those known by design or measured."""
     vehicle = bench.base.model.functions.vehicle
-    own = {p.name for e in vehicle.all_effects if not (e.weighed or e.built_in) for p in e.parameters}
+    own = {p.name for e in vehicle.all_effects if not (e.known_by_design or e.built_in) for p in e.parameters}
     return tuple(n for n in _held(bench) if n in vehicle.values and vehicle.declaration(n).name in own)
 
 

@@ -453,8 +453,8 @@ def added_mass_at_zero_frequency(functions: Functions, p: Array) -> Array | None
     rates = ca.jacobian(f.memory_rates, f.nu)
     if not rates.nnz():
         return None
-    weighed = {e.id for e in f.vehicle.all_effects if e.weighed}
-    water = sum((w for i, w in f.wrenches.items() if i not in weighed), ca.SX(len(f.vehicle.dof_indices), 1))
+    solid = {e.id for e in f.vehicle.all_effects if e.known_by_design}
+    water = sum((w for i, w in f.wrenches.items() if i not in solid), ca.SX(len(f.vehicle.dof_indices), 1))
     wanted = [
         ca.jacobian(f.memory_rates, f.memory),
         rates,

@@ -62,7 +62,7 @@ class BoundaryProximity(Wrench):
         return points
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return bool({"surge", "sway", "heave"} & set(dofs))
 
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -33,7 +33,7 @@ class CrossflowDrag(Wrench):
     x_cross = Parameter.with_starts("m", "middle of the length, forward", (-100.0, 100.0), (0.0,), arm_of="1")
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return {"sway", "yaw"} <= set(dofs) or {"heave", "pitch"} <= set(dofs)
 
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -38,7 +38,7 @@ class HullCubic(Wrench):
     U_fade = Parameter.with_default("m/s", "speed below which the terms fade", (1e-3, 10.0), 0.05)
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         # A series of ships: what does not float at the surface has cross-flow in two planes.
         return {"surge", "sway", "yaw"} <= set(dofs) and "heave" not in dofs
 

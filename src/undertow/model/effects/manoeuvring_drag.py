@@ -29,7 +29,7 @@ class ManoeuvringDrag(Wrench):
     X_qq = Parameter("N/(rad/s)^2", "surge force per pitch rate squared")
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return "surge" in dofs and bool({"sway", "heave", "pitch", "yaw"} & set(dofs))
 
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -43,7 +43,7 @@ class QuadraticDampingCoupling(Wrench):
     )
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return {"sway", "yaw"} <= set(dofs) or {"heave", "pitch"} <= set(dofs)
 
     def wrench(self, s: Signals) -> sm.Matrix:

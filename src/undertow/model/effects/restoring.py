@@ -5,15 +5,17 @@ from math import inf
 
 import sympy as sm
 
-from undertow.model.effect import Limits, Parameter, Signals, Taken, Wrench, symbol
+from undertow.model.effect import Limits, Parameter, SharedQuantity, Signals, Wrench, symbol
 from undertow.model.symbols import rotation
 
 _ARMS = {f"{axis}_{point}": "m" for axis in "xyz" for point in "gb"}
 
 
-def _centre(axis: str) -> Taken:
+def _centre(axis: str) -> SharedQuantity:
     stated, moment = symbol(f"{axis}_g"), symbol(f"m{axis}_g")
-    return Taken(f"{axis}_g", "rigid_body", (stated, moment / symbol("m")), "m", unless=(f"S_{axis}",))
+    return SharedQuantity(
+        f"{axis}_g", "rigid_body", (stated, moment / symbol("m")), "m", unless=(f"S_{axis}",)
+    )
 
 
 class Restoring(Wrench):
@@ -26,13 +28,15 @@ class Restoring(Wrench):
 
     id = "restoring"
     family = "statics"
-    weighed = True
+    known_by_design = True
     reference = "Fossen (2021), chapter 4 (restoring forces of submerged vehicles)"
     signature = "roll and pitch do not swing back to level, or with the wrong period"
 
     # Scales and drawings agree to a per cent or two; a factor of two is no tolerance of either.
-    taken = (
-        Taken("W", "rigid_body", (symbol("m") * symbol("g"),), "N", rounding=0.02, most=2.0, words="m g"),
+    shared_quantities = (
+        SharedQuantity(
+            "W", "rigid_body", (symbol("m") * symbol("g"),), "N", rounding=0.02, most=2.0, words="m g"
+        ),
         *(_centre(axis) for axis in "xyz"),
     )
 
@@ -61,12 +65,12 @@ class Restoring(Wrench):
         return base
 
     @classmethod
-    def reconciled(cls, values: Mapping[str, float], taken: Mapping[str, float]) -> dict[str, float]:
+    def reconciled(cls, values: Mapping[str, float], shared: Mapping[str, float]) -> dict[str, float]:
         """Motion determines only W - B: the weight follows from the mass, the buoyancy from that."""
-        if "W" not in taken:
+        if "W" not in shared:
             return dict(values)
         lift = values.get("B", 0.0) - values.get("W", 0.0)
-        return {**values, "W": taken["W"], "B": taken["W"] + lift}
+        return {**values, "W": shared["W"], "B": shared["W"] + lift}
 
     @classmethod
     def impossible(

@@ -6,7 +6,7 @@ from math import sqrt
 import sympy as sm
 
 from undertow.errors import UndertowError
-from undertow.model.effect import Limits, Parameter, Signals, Taken, VehicleSize, Wrench, symbol
+from undertow.model.effect import Limits, Parameter, SharedQuantity, Signals, VehicleSize, Wrench, symbol
 from undertow.model.symbols import failing_pivot, inertia_matrix, inertia_tensor
 
 
@@ -20,12 +20,14 @@ class RigidBody(Wrench):
 
     id = "rigid_body"
     family = "inertia"
-    weighed = True
+    known_by_design = True
     reference = "Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 3"
     signature = "acceleration responds to a change of force by a different amount than the mass implies"
 
-    taken = tuple(
-        Taken(f"{a}_g", "restoring", (symbol(f"{a}_g"),), "m", unless=(f"m{a}_g",), only_where_silent=True)
+    shared_quantities = tuple(
+        SharedQuantity(
+            f"{a}_g", "restoring", (symbol(f"{a}_g"),), "m", unless=(f"m{a}_g",), only_if_missing=True
+        )
         for a in "xyz"
     )
 

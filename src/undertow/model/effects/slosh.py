@@ -39,7 +39,7 @@ class Slosh(Wrench):
     state_units = ("m", "m", "m/s", "m/s")
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return bool({"surge", "sway"} & set(dofs))
 
     def wrench(self, s: Signals) -> sm.Matrix:

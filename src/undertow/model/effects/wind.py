@@ -65,7 +65,7 @@ class Wind(Wrench):
     z_wind = Parameter.with_starts("m", "where it acts, down", (-100, 10), (0,), arm_of="1")
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         # Without yaw it cannot be told from a constant force.
         return "heave" not in dofs and "yaw" in dofs and bool({"surge", "sway"} & set(dofs))
 

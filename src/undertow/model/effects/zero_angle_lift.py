@@ -28,7 +28,7 @@ class ZeroAngleLift(Wrench):
     N_uabsu = Parameter("N m/(m/s)^2", "yaw moment per surge velocity times its magnitude")
 
     @classmethod
-    def suits(cls, dofs: tuple[str, ...]) -> bool:
+    def observable_in(cls, dofs: tuple[str, ...]) -> bool:
         return "surge" in dofs and len(dofs) > 1
 
     def wrench(self, s: Signals) -> sm.Matrix:

@@ -21,7 +21,7 @@ from .scenario import MOST_SAMPLES
 _ALIGNED = math.sqrt(0.5) - 1e-9
 
 
-class Parts:
+class Interconnection:
     """Model and controller with the signals of one wired to those of the other by name.
 
     The vehicle that the controller knows may have fewer degrees of freedom than the one that moves. With an
@@ -236,7 +236,7 @@ class SampledLoop:
     The vehicle is taken with either set of direction-dependent parameters, the law with their mean.
     """
 
-    def __init__(self, parts: Parts, pose: np.ndarray, desired: np.ndarray) -> None:
+    def __init__(self, parts: Interconnection, pose: np.ndarray, desired: np.ndarray) -> None:
         self._parts, self._desired = parts, desired
         self._sides = [self._linear(pose, side) for side in (1, -1)]
 
@@ -324,7 +324,7 @@ def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple
 
 
 # --- refusing ----------------------------------------------------------------------------------
-def sampling_offsets(parts: Parts, dt: float) -> dict[str, float]:
+def sampling_offsets(parts: Interconnection, dt: float) -> dict[str, float]:
     """Estimate of the distance from the set-point that a sampled jump may leave, m and rad, by coordinate."""
     gains = parts.controller.gains
     rows = gains.law.offset(gains.signals).xreplace(gains.numbers)
@@ -333,7 +333,7 @@ def sampling_offsets(parts: Parts, dt: float) -> dict[str, float]:
     return {name: float(row) * power for name, row in zip(names, rows, strict=True) if row}
 
 
-def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, float]) -> None:
+def check_interval(loop: SampledLoop, parts: Interconnection, dt: float, moves: dict[str, float]) -> None:
     """Refuse a sampling interval that is too long for the law."""
     name, order = parts.controller.gains.name, parts.controller.gains.law.offset_order
     if not loop.keeps_stability(dt):
@@ -351,7 +351,7 @@ def check_interval(loop: SampledLoop, parts: Parts, dt: float, moves: dict[str, 
             )
 
 
-def check_steps(loop: SampledLoop, parts: Parts, dt: float, samples: int) -> None:
+def check_steps(loop: SampledLoop, parts: Interconnection, dt: float, samples: int) -> None:
     """Refuse a loop that cannot be integrated without sampling."""
     if any(parts.functions.late()):
         raise UndertowError("dead times need a sampled law: leave out --continuous")
