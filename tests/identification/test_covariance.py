@@ -109,6 +109,27 @@ def test_a_first_order_lag_is_carried_as_it_is_solved() -> None:
     np.testing.assert_allclose(states[:, 0], exact, atol=1e-8)
 
 
+def test_states_that_decay_alone_follow_an_input_that_changes_linearly_exactly() -> None:
+    """T z' = a + b t - z over one interval, for two time constants at once."""
+    z, u, p, t, dt = (ca.SX.sym(n, k) for n, k in (("z", 2), ("u", 2), ("p", 2), ("t", 1), ("dt", 1)))
+
+    def rate(state: ca.SX, share: float) -> ca.SX:
+        return (u[0] + u[1] * (t + share * dt) - state) / p
+
+    lags = PropagatedState(z, Inputs([u], p, t, dt), p, rate, lambda state, share: state)
+    a, b, T, start, step = 0.7, -1.3, np.array([0.05, 3.0]), np.array([0.4, -0.2]), np.array([0.5])
+    drive = np.array([[a, b]])
+    states = lags.side_by_side(start[None], [(drive, np.zeros(1), step)], T)[0]
+
+    def exact(T: np.ndarray) -> np.ndarray:
+        steady = a - b * T
+        return steady + b * step + (start - steady) * np.exp(-step / T)
+
+    np.testing.assert_allclose(states[1], exact(T), atol=1e-13)
+    slopes, _, _ = lags.along(states, np.zeros((2, 2)), [drive], T, np.zeros(1), step)
+    np.testing.assert_allclose(np.diag(slopes[1]), (exact(T + 1e-6) - exact(T - 1e-6)) / 2e-6, rtol=1e-6)
+
+
 def test_logs_side_by_side_are_carried_as_each_by_itself() -> None:
     rng = np.random.default_rng(6)
     lengths, starts, p = (40, 0, 17), rng.standard_normal((3, 2)), rng.uniform(0.5, 1.0, (3, 2))
