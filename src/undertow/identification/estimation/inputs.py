@@ -202,9 +202,9 @@ def _integrated(rate: Rate, output: Rate, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, c
 
 
 def _decay(rate: Rate, z: ca.SX, begin: float) -> tuple[ca.SX, bool]:
-    """Rates at which each state decays by itself, 1/s, and whether nothing else depends on the states.
+    """Rates at which each state decays by itself, 1/s, and whether the states enter in no other way.
 
-    They are not positive, except where nothing else does.
+    If they do, the rates are at most zero: a state that grows is left to the other terms.
     """
     at = ca.SX.sym("at", z.shape[0])
     slopes = ca.jacobian(rate(at, begin), at)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -352,6 +352,8 @@ class Predictor:
             own, origin = self._own_states.at_starts(windows, motion, delay, p, origin)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
+            if near is None:  # the linearised problem is large: that of the last parameters alone is kept
+                recent.update({k: replace(v, origin=None) for k, v in recent.items()})
             recent[key] = _StartStates(motion, own, origin)
         return recent[key]
 
