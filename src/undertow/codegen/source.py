@@ -100,6 +100,11 @@ INSTRUCTIONS = {name: k for k, name in enumerate([*FORMS, "OP_ASSIGN", "OP_INPUT
 """The engine's own number of everything that CasADi has a name for."""
 
 
+#: States of logs that the engine carries on side by side: more would mostly be done for nothing, since logs
+#: differ in length.
+CHAINS = 4
+
+
 def engine_source() -> tuple[str, str]:
     """C source of what runs the instructions of any model, and what its entry points begin with."""
     names = {"INPUT": "OP_INPUT", "OUTPUT": "OP_OUTPUT", "CONSTANT": "OP_CONST"}
@@ -112,6 +117,7 @@ def engine_source() -> tuple[str, str]:
     parts = [
         *special,
         f"#define CASES {cases}",
+        f"#define CHAINS {CHAINS}",
         "#define INTERPRETED",
         c_file("tape.c"),
         c_file("tangents.c"),

@@ -4,6 +4,7 @@
      CASES             for every operation its code and its loop over a block, with a and b the operands and
                        r the result
      INPUT, OUTPUT, CONSTANT   codes of what is no operation
+     CHAINS            how many states are carried on side by side
 
    An instruction is four numbers: code, result, operands. */
 
@@ -84,8 +85,6 @@ int AT_SAMPLES(int64_t samples, const Tape *tape, const double *const *in, const
 }
 
 /* --- a state from step to step ----------------------------------------------------------------------- */
-
-#define CHAINS 4 /* side by side: with more, most would be done for nothing, since logs differ in length */
 
 EXPORTED int CARRY(int64_t steps, int64_t chains, const Tape *tape, int64_t arguments, const double *const *in,
                    const int64_t *in_stride, const int64_t *in_step, double *state, int64_t size);

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import factorial
@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from undertow.codegen.engine import carried, mapped
 from undertow.codegen.functions import Functions
+from undertow.codegen.source import CHAINS
 from undertow.errors import UndertowError
 from undertow.identification.logs.run import Run, last_known
 from undertow.typing import Array, Index
@@ -73,7 +74,6 @@ def _integral_at(t: Array, total: Array, held: Array, when: Array) -> Array:
 
 
 _SUBSTEPS = 4
-_CHAINS = 4  # logs that are propagated side by side, as many as the C code takes at once
 Rate = Callable[[ca.SX, float], ca.SX]
 
 
@@ -122,13 +122,21 @@ class PropagatedState:
         """
         found: dict[int, Array] = {}
         order = sorted(range(len(logs)), key=lambda i: -len(logs[i][-1]))
-        for begin in range(0, len(order), _CHAINS):
-            rows = order[begin : begin + _CHAINS]
+        for begin in range(0, len(order), CHAINS):
+            rows = order[begin : begin + CHAINS]
             *columns, t, dt = map(_padded, zip(*(logs[i] for i in rows), strict=True))
             own = p[rows] if p.ndim > 1 else p
             states = carried(self._step, start[rows], [*columns, t[..., None], dt[..., None], own], len(dt))
             found |= {i: states[: len(logs[i][-1]) + 1, k] for k, i in enumerate(rows)}
         return [found[i] for i in range(len(logs))]
+
+    def along_each(
+        self, start: Array, slopes: Sequence[Array], logs: Sequence[tuple[Array, ...]], p: Array
+    ) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """States of logs as by `side_by_side`, p of shape (S, n_p), with what `along` gives for each."""
+        every = self.side_by_side(start, logs, p)
+        for states, slope, (*columns, t, dt), own in zip(every, slopes, logs, p, strict=True):
+            yield states, *self.along(states, slope, columns, own, t, dt)
 
     def along(
         self, states: Array, slope: Array, columns: list[Array], p: Array, t: Array, dt: Array
@@ -184,33 +192,31 @@ def _integrated(rate: Rate, output: Rate, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, c
     h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
     mean = output(z, 0.0)
     for step in range(_SUBSTEPS):
-        begin = step * share
-        decay, alone = _decay(rate, z, begin)
-
-        def rest(
-            at: ca.SX, reach: float, begin: float = begin, decay: ca.SX = decay, alone: bool = alone
-        ) -> ca.SX:
-            """Rates without the decay."""
-            if alone:
-                return rate(ca.SX.zeros(at.shape[0]), begin + reach * share)
-            return rate(at, begin + reach * share) - decay * at
-
+        decay, rest = _without_decay(_part_of(rate, step * share, share), z)
         z = _exponential_step(rest, decay, z, h)
         weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
     return z, mean / (3 * _SUBSTEPS)
 
 
-def _decay(rate: Rate, z: ca.SX, begin: float) -> tuple[ca.SX, bool]:
-    """Rates at which each state decays by itself, 1/s, and whether the states enter in no other way.
+def _part_of(rate: Rate, begin: float, share: float) -> Rate:
+    """Rates over part of an interval."""
+    return lambda state, reach: rate(state, begin + reach * share)
 
-    If they do, the rates are at most zero: a state that grows is left to the other terms.
+
+def _without_decay(rate: Rate, z: ca.SX) -> tuple[ca.SX, Rate]:
+    """Rates at which each state decays by itself, 1/s, and the rates of change without this decay.
+
+    Where the states enter in no other way, the rest does not depend on them. Elsewhere a state that grows by
+    itself is left to the rest.
     """
     at = ca.SX.sym("at", z.shape[0])
-    slopes = ca.jacobian(rate(at, begin), at)
+    slopes = ca.jacobian(rate(at, 0.0), at)
     own = ca.diag(slopes)
-    alone = slopes.nnz() == own.nnz() and not ca.depends_on(own, at)
-    return (own, True) if alone else (ca.fmin(ca.substitute(own, at, z), 0.0), False)
+    if slopes.nnz() == own.nnz() and not ca.depends_on(own, at):
+        return own, lambda state, reach: rate(ca.SX.zeros(state.shape[0]), reach)
+    decay = ca.fmin(ca.substitute(own, at, z), 0.0)
+    return decay, lambda state, reach: rate(state, reach) - decay * state
 
 
 def _exponential_step(rest: Rate, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
@@ -324,12 +330,8 @@ class ActuatorStates:
         inside = [(u, t, np.append(np.diff(t), 0.0)) for t, u, _ in logs]
         rest = [[np.asarray(v) for v in self._rest(u[0], p, t[0])] for t, u, p in logs]
         first, parameters = np.array([start[:, 0] for start, _ in rest]), np.array([p for *_, p in logs])
-        every = self._propagated.side_by_side(first, inside, parameters)
-        found = []
-        for states, (_, slope), (u, t, step), p in zip(every, rest, inside, parameters, strict=True):
-            _, mean, slopes = self._propagated.along(states, slope, [u], p, t, step)
-            found.append(_driven_signal(mean, slopes, self._dependent, len(self.free)))
-        return found
+        every = self._propagated.along_each(first, [slope for _, slope in rest], inside, parameters)
+        return [_driven_signal(mean, by, self._dependent, len(self.free)) for _, _, mean, by in every]
 
     def _static(self, t: Array, u: Array, p: Array) -> DrivenSignal:
         """A chain without states: its output in the middle of every interval."""
@@ -445,16 +447,10 @@ class Memory:
         size = self.functions.memory.shape[0]
         if size == 0:
             return [_empty(len(t), len(self.free)) for t, *_ in logs]
-        slope = np.zeros((size, len(self._dependent)))
-        inside = [([y[:-1], y[1:], a[:-1], u[:-1]], t[:-1], np.diff(t)) for t, y, a, u, _ in logs]
-        own = np.array([p for *_, p in logs])
-        along = [(*columns, t, dt) for columns, t, dt in inside]
-        every = self._propagated.side_by_side(np.zeros((len(logs), size)), along, own)
-        found = []
-        for states, (columns, t, dt), p in zip(every, inside, own, strict=True):
-            slopes, _, _ = self._propagated.along(states, slope, columns, p, t, dt)
-            found.append(_driven_signal(states, slopes, self._dependent, len(self.free)))
-        return found
+        inside = [(y[:-1], y[1:], a[:-1], u[:-1], t[:-1], np.diff(t)) for t, y, a, u, _ in logs]
+        start, slopes = np.zeros((len(logs), size)), np.zeros((len(logs), size, len(self._dependent)))
+        every = self._propagated.along_each(start, [*slopes], inside, np.array([p for *_, p in logs]))
+        return [_driven_signal(states, by, self._dependent, len(self.free)) for states, by, *_ in every]
 
     @cached_property
     def _rates(self) -> ca.SX:
