@@ -123,10 +123,18 @@ def test_the_position_is_said_where_it_gains_most() -> None:
     sensor = Step(added=["a"], error=1.0, ahead={"5 s": 0.040}, position={"5 s": 0.02, "free run": inf})
     force = Step(added=["b"], error=1.0, ahead={"5 s": 0.010}, position={"5 s": 0.25})
     assert step_changes(before, sensor) == (
-        "leaves the 5-s error at 4.0 % and lowers the position error over 5 s from 0.5 to 0.02 m"
+        "lowers the position error over 5 s from 0.5 to 0.02 m and leaves the 5-s error at 4.0 %"
     )
     assert step_changes(before, force) == "lowers the 5-s error from 4.0 to 1.0 %"
     assert "free run" not in sensor.position  # what diverges has no size
+
+
+def test_the_position_is_said_over_the_horizon_that_counts_for_it() -> None:
+    """A lever arm may improve the position over 30 s by enough to be named, and no other prediction."""
+    same = {"8 s": 0.030, "30 s": 0.047, "70 s": 0.05}
+    before = Step(added=[], error=9.0, ahead=same, position={"8 s": 0.08, "30 s": 0.34, "70 s": 1.33})
+    after = Step(added=["arm"], error=9.0, ahead=same, position={"8 s": 0.02, "30 s": 0.28, "70 s": 1.31})
+    assert step_changes(before, after).startswith("lowers the position error over 30 s from 0.34 to 0.28 m")
 
 
 def test_shares_have_two_digits() -> None:

@@ -94,7 +94,8 @@ def test_a_speed_with_its_unit_becomes_what_the_vehicle_counts(
     ):
         mapping = LogMapping(columns=columns, channels=channels)
         (run,) = read_logs([log], vehicle, mapping)
-        np.testing.assert_allclose(run.channels["prop"], speed, rtol=1e-12)
+        for read in (run, ut.read_log(log, mapping, vehicle=vehicle)):
+            np.testing.assert_allclose(read.channels["prop"], speed, rtol=1e-12)
 
 
 def test_a_speed_in_newtons_or_read_without_the_vehicle_is_refused(tmp_path: Path) -> None:

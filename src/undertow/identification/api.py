@@ -40,6 +40,7 @@ from .logs.mapping import LogMapping, read_mapping
 from .logs.opening import check_fit
 from .logs.opening import save_log as save_log
 from .logs.reading import read_log as read
+from .logs.reading import with_speeds_in_vehicle_units
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.problem import PlanRequest
@@ -275,6 +276,7 @@ def read_log(
     path: str | Path | Sequence[str | Path],
     mapping: str | Path | LogMapping | None = None,
     *,
+    vehicle: Vehicle | None = None,
     window: tuple[float | None, float | None] = (None, None),
     commands: Sequence[str] = (),
 ) -> Run:
@@ -286,10 +288,13 @@ def read_log(
         The log; a folder or several paths are tables of one run, each on its own clock.
     mapping : path or Mapping, optional
         Meaning of the columns; without it they must have the channel names and SI units of undertow.
+    vehicle : Vehicle, optional
+        The vehicle that wrote the log: its commands must be in it, and revolutions of propellers are
+        converted to the unit in which the vehicle counts them (rad/s without it).
     window : (t_min, t_max)
         Part of the log that is used, s.
     commands : sequence of str
-        Names of the commands of the vehicle; each must be in the log.
+        Names of commands that must be in the log; by default those of the vehicle, if one is given.
 
     Returns
     -------
@@ -306,11 +311,14 @@ def read_log(
     >>> from pathlib import Path
     >>> import undertow as ut
     >>> demo = Path(ut.__file__).parent / "demo_data" / "auv"
-    >>> run = ut.read_log(demo / "train_1.csv.gz", commands=["f1", "f2", "f3", "f4"])
+    >>> run = ut.read_log(demo / "train_1.csv.gz", vehicle=ut.load_vehicle(demo / "vehicle.toml"))
     >>> run.t.shape
     (1200,)
     """
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    if vehicle is not None:
+        commands = commands or vehicle.command_names
+        meaning = meaning and with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
     if isinstance(path, str | Path) and Path(path).is_file() and format_of(Path(path)) is None:
         parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)
         if len(parts) == 1 and beyond_memory(parts):

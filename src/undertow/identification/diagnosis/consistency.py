@@ -192,7 +192,8 @@ def kept_with(
     """Size and gain that an effect keeps with another one in the model.
 
     All of both if predictions are clearly worse with the other one alone: a proxy predicts no better than
-    what it stands for. All of its size if the other one does not improve predictions in addition to it.
+    what it stands for; or if in the model with both the effect keeps its size and the other one does not. All
+    of its size if the other one does not improve predictions in addition to it.
 
     before: the model without either, fitted like the final result.
     """
@@ -204,25 +205,29 @@ def kept_with(
     def gain_of(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> PredictionGain:
         return gain_of_effects(without, with_it, [effect], validator)
 
-    given = final([effect])
-    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(final([other]))
+    given, instead = final([effect]), final([other])
+    ahead, rival = validator.squares_ahead(given), validator.squares_ahead(instead)
     pair = [compared_channels(each, [effect], validator) for each in (ahead, rival)]
     if best_in_resamples(pair, settings)[0] >= settings.best_share:
         return Kept(1.0, 1.0)
     both = final([other, effect])
+    size, size_of_other = _size(effect, given, both), _size(other, instead, both)
+    if size >= 1.0 - settings.size_spread > size_of_other:
+        return Kept(1.0, 1.0)
     joint = validator.squares_ahead(both)
     alone = gain_of(validator.squares_ahead(before), ahead).log_fall
     gain = gain_of(rival, joint).log_fall / alone if alone > 0.0 else 1.0
-    if not gain_of(ahead, joint).suffices(settings.worth):
-        return Kept(1.0, gain)
-    names = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
-    own = [n for n in given.model.free if base_name(n) in names]
-    return Kept(_size(given, both, [n for n in own if names[base_name(n)]] or own), gain)
+    return Kept(size if gain_of(ahead, joint).suffices(settings.worth) else 1.0, gain)
 
 
-def _size(given: Fitted, both: Fitted, names: Sequence[str]) -> float:
-    """Parameters in a second fit relative to those in the first, weighted by the precision of the first."""
-    errors = given.standard_errors
+def _size(effect: FoundEffect, given: Fitted, both: Fitted) -> float:
+    """Parameters of an effect in a second fit relative to those in the first, weighted by their precision.
+
+    Only those in which the force is linear, if there are any.
+    """
+    linear = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
+    names, errors = [n for n in given.model.free if base_name(n) in linear], given.standard_errors
+    names = [n for n in names if linear[base_name(n)]] or names
     own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
     weight = np.array([given.values[n] / errors[n] ** 2 for n in own])
     first, second = (np.array([f.values[n] for n in own]) for f in (given, both))

@@ -201,8 +201,8 @@ def refuse_other_speeds(run: Run, vehicle: Vehicle) -> None:
             raise UndertowError(
                 f"log {run.source or run.name}: column {name!r} was read in rad/s, since its mapping states "
                 f"the unit {unit!r}, and the vehicle counts command {command!r} in "
-                f'{counted[command]}: write revolutions = "rad/s" into the vehicle file, or a scale '
-                "in place of the unit into the mapping"
+                f"{counted[command]}: give read_log the vehicle (vehicle=...), or write a scale in place of "
+                "the unit into the mapping"
             )
 
 

@@ -174,11 +174,11 @@ def mapping_for(
     """
     meaning = mapping or mapping_beside(path)
     if meaning is not None:
-        meaning = _with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
+        meaning = with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
     return (meaning or LogMapping()).model_copy(update={"held": held}) if held else meaning
 
 
-def _with_speeds_in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
+def with_speeds_in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
     """The mapping with speeds of propellers in the unit of the vehicle file (`revolutions`), not in rad/s."""
     counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
 

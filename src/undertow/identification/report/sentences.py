@@ -83,19 +83,22 @@ def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
 def step_changes(before: Step, after: Step) -> str:
     """How the errors of predictions change from one model to another."""
     # The position error is mentioned if it improves most: a sensor error may show in nothing else.
-    parts = [changes(before.ahead, after.ahead)]
-    of_velocities, _ = _longest_fall(before.ahead, after.ahead)
-    fall, horizon = _longest_fall(before.position, after.position)
-    if fall >= max(DEFAULT.worth, of_velocities):
-        sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
-        parts.append(f"lowers the position error over {horizon} from {sizes} m")
+    velocities = changes(before.ahead, after.ahead)
+    of_velocities, _ = _largest_fall(before.ahead, after.ahead)
+    fall, horizon = _largest_fall(before.position, after.position)
+    if fall < max(DEFAULT.worth, of_velocities):
+        return velocities
+    sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
+    position = f"lowers the position error over {horizon} from {sizes} m"
+    parts = [velocities, position] if velocities.startswith("lowers") else [position, velocities]
     return listed([part for part in parts if part])
 
 
-def _longest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[float, str]:
-    """Fall of the error over the longest horizon that both have, as a share of it, and that horizon."""
+def _largest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[float, str]:
+    """Fall of the error over the long horizon where it is largest, as a share of it, and that horizon."""
     both = [h for h in _horizons([before]) if h in after and before[h] > 0.0]
-    return (1.0 - after[both[-1]] / before[both[-1]], both[-1]) if both else (0.0, "")
+    falls = [(1.0 - after[h] / before[h], h) for h in both[1:] or both]
+    return max(falls, default=(0.0, ""))
 
 
 def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = ()) -> str:
