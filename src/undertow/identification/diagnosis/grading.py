@@ -48,6 +48,7 @@ from .prediction_gain import (
     improved_velocities,
 )
 from .rounds import Round
+from .search import last_fit
 from .settings import DEFAULT, Settings
 from .validation import SimulationValidator
 
@@ -210,10 +211,9 @@ class Grading:
         self._round, self._graded, self._later = current, graded, later
         self._bench, self._settings = current.bench, current.bench.settings
         self._validator, self._squares_of = predictions.validator, predictions.squares_ahead
-        self._found = {f.id: f for f in self._screened()}
-        fits = [self._bench.base, *(f.trial.fit for f in self._found.values())]
-        self._before, *after = self._squares_of(fits)
-        self._squares: dict[str, dict[float, Array]] = dict(zip(self._found, after, strict=True))
+        self._found: dict[str, FoundEffect] = {}
+        self._squares: dict[str, dict[float, Array]] = {}
+        self._before = self._predicted(self._screened())
         self.gains = {i: self._gain([f], self._before, self._squares[i]) for i, f in self._found.items()}
         self._other_minima: dict[str, bool] = {}
 
@@ -258,6 +258,37 @@ class Grading:
         by_simulation = np.argsort(np.argsort(squares, kind="stable"))
         turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
         return [found[k] for k in np.argsort(turn, kind="stable")[:most]]
+
+    def _predicted(self, findings: Sequence[FoundEffect]) -> dict[float, Array]:
+        """Predict with each finding, and without any; the squares of the latter.
+
+        A parameter that is significant in the force may be left out where something else is missing as well:
+        of the parameters that the search keeps and those that a last fit would keep, as of `add`, those with
+        which predictions are better.
+        """
+        wider = {f.id: w for f in findings if (w := self._with_last_fit(f)) is not None}
+        tried = [*findings, *wider.values()]
+        before, *squares = self._squares_of([self._bench.base, *(f.trial.fit for f in tried)])
+        for finding, after in zip(tried, squares, strict=True):
+            known = self._squares.get(finding.id)
+            if known is None or self._error_ahead(after) <= self._error_ahead(known) + np.log1p(NO_WORSE):
+                self._found[finding.id], self._squares[finding.id] = finding, after
+        return before
+
+    def _error_ahead(self, squares: Squares) -> float:
+        """Logarithm of the error of predicted velocities."""
+        return error_ahead(self._validator.velocities(squares)) / 2.0
+
+    def _with_last_fit(self, finding: FoundEffect) -> FoundEffect | None:
+        """The finding with the parameters that a last fit would keep; None if these are the same."""
+        trial = finding.trial
+        if not {*trial.candidate.removable} - {*trial.fit.model.values.names}:
+            return None
+        fit = last_fit(trial.fit, [trial.candidate], self._settings)
+        if fit.model.free == trial.fit.model.free:
+            return None
+        kept = tuple(n for n in trial.candidate.sizes if n in fit.model.values.names)
+        return replace(finding, trial=replace(trial, fit=fit, kept=kept, score=self._bench.score(fit)))
 
     def _gain(self, findings: Sequence[FoundEffect], before: Squares, after: Squares) -> PredictionGain:
         return gain_of_effects(before, after, findings, self._validator)

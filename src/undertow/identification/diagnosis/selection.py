@@ -14,6 +14,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.weak_form import free_parameters
 from undertow.model.catalogue import Catalogue
 from undertow.typing import Array, Progress
@@ -218,11 +219,15 @@ class _Selector:
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
         """Candidates in addition to the chosen effects; an identical earlier round is reused."""
         grown = with_effects(self._found.vehicle, chosen)
+        free = free_parameters(grown)
         for done in self._rounds:
-            if done.bench.base.vehicle.parameter_names == grown.parameter_names:
+            # An effect may free a parameter that the file states: names alone are then those of before.
+            base = done.bench.base
+            same = {base_name(n) for n in base.model.free} == {*free}
+            if same and base.vehicle.parameter_names == grown.parameter_names:
                 return done
         bench = rounds[-1].bench
-        base = bench.fit(grown, free_parameters(grown), chosen[-1].trial.fit.values)
+        base = bench.fit(grown, free, chosen[-1].trial.fit.values)
         self._rounds.append(try_all(replace(bench, base=base), self._known, self._report_weak_form))
         return self._rounds[-1]
 

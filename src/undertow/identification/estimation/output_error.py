@@ -17,7 +17,7 @@ from undertow.typing import Array, Progress
 from .data import clustered, inverse_of, prepare, summed_scores
 from .fitted import Fitted
 from .predictor import Predictor, predict_each
-from .residual import Linearised, WeakModel
+from .residual import Linearised, WeakModel, base_name
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace
 from .weak_form import WeakFit, fit_weak_by_run, free_parameters, in_runs
@@ -152,6 +152,14 @@ class Descent:
         self._known = np.zeros(len(model.free)) if kinematics is None else kinematics[1]
         self._progress = progress
         self._steps = 0
+
+    def closest(self, candidates: Sequence[Array]) -> Array:
+        """The parameters with which simulations from measured starts are closest to the logs."""
+        if len(candidates) == 1:
+            return candidates[0]
+        self._set_weights(np.ones(len(self.windows.names)))
+        cost = [self._shooting.cost(p, self._shooting.measured_starts(p)) for p in candidates]
+        return candidates[int(np.argmin(cost))]
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Minimise and reweight every channel by its residual, until the weights converge.
@@ -406,14 +414,14 @@ def fit_output_error(
     names = free_parameters(vehicle) if free is None else tuple(free)
     progress(0.0, "weak-form fit")
     model, begin = weak_start(constraints.model(vehicle, names), runs, start)
-    return _fit_windows(model, runs, horizon, begin, loss, compiled, progress)
+    return _fit_windows(model, runs, horizon, [begin], loss, compiled, progress)
 
 
 def _fit_windows(
     model: WeakModel,
     runs: Sequence[Run],
     horizon: float | None,
-    start: Mapping[str, float],
+    starts: Sequence[Mapping[str, float]],
     loss: LossName = "gaussian",
     compiled: bool | None = None,
     progress: Progress = lambda done, words: None,
@@ -422,8 +430,20 @@ def _fit_windows(
 ) -> OutputErrorFit:
     windows = cut(runs, model.functions.vehicle, horizon)
     descent = Descent(model, windows, compiled, progress, kinematics=kinematics)
-    p = physical_start(model, start)
+    p = descent.closest([physical_start(model, start) for start in starts])
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
+
+
+def _stated_start(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]:
+    """Fitted values, but those of the vehicle file for coefficients that it states.
+
+    Near an incomplete model, the weak form may end where simulations diverge. An effect that is tried is not
+    in the file: it keeps its fitted values.
+    """
+    vehicle = model.functions.vehicle
+    linear = [n for n in model.free if vehicle.declaration(base_name(n)).linear]
+    stated = {n: vehicle.value_of(base_name(n)).value for n in linear}
+    return dict(values) | {n: value for n, value in stated.items() if value and np.isfinite(value)}
 
 
 def final_fit(
@@ -437,7 +457,8 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first (see `horizons`): a fit over long windows
-    alone, started far away, ends in a local minimum. Where the residual is close to noise, one time constant
+    alone, started far away, ends in a local minimum. This first one begins at the stated values instead if
+    simulations with these are closer to the logs. Where the residual is close to noise, one time constant
     follows, then the longest ones, and whole gap-free segments if their residual is also close to noise:
     estimated starts cost information about the parameters (standard errors over windows of a time constant
     are ten times those over a run of a minute). Otherwise free starts absorb model errors, and a pose
@@ -463,8 +484,9 @@ def final_fit(
     ) -> OutputErrorFit | None:
         """The next fit; None where its simulation diverges, as that of a poor model may."""
         progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
+        starts = [at.values, _stated_start(model, at.values)] if at is weak else [at.values]
         try:
-            return _fit_windows(model, runs, horizon, at.values, loss, kinematics=kinematics)
+            return _fit_windows(model, runs, horizon, starts, loss, kinematics=kinematics)
         except UndertowError:
             return None
 
