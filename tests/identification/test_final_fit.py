@@ -77,6 +77,20 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
         assert again.values[parameter] == pytest.approx(value, abs=error)
 
 
+def test_output_error_begins_at_the_stated_values_where_the_weak_forms_let_simulations_diverge() -> None:
+    """Near an incomplete model the weak form may end at a coupling that makes the vehicle unstable."""
+    vehicle, (train, test) = _guessed(ut.load_vehicle("cybership2")), _logs("cybership2")
+    setup = set_up_addition(vehicle, [train], [test])
+    weak = setup.bench.base
+    p = np.array(weak.p)
+    p[[weak.model.functions.parameter_names.index(n) for n in ("Y_r", "N_v")]] = 4000.0
+    unstable = replace(weak, p=p)
+    assert not horizon_error([unstable], setup.test)[0] < 100.0
+    fits = [final_fit(f, setup.train, setup.test) for f in (weak, unstable)]
+    right, found = horizon_error(fits, setup.test)
+    assert found == pytest.approx(right, rel=0.05)
+
+
 def test_of_parameters_left_out_or_not_those_are_added_that_predict_better() -> None:
     """With half of them held at wrong values predictions are worse; of two as good the first is taken."""
     vehicle, (train, test) = _guessed(ut.load_vehicle("box-hull")), _logs("box-hull")

@@ -210,6 +210,19 @@ def test_variables_of_an_effect_are_those_of_its_equations() -> None:
     assert not {"x", "y"} & set(found["radiation_memory"])
 
 
+def test_what_the_file_states_of_an_effect_is_not_what_a_candidate_adds() -> None:
+    """A surge drag that was fitted to zero says nothing against the sway drag that is added to it."""
+    candidate = Candidate(catalogue()["quadratic_damping"], load_vehicle("kvlcc2"))
+    added = candidate.parameters
+    assert {p.name for p in added} == {"Y_vabsv", "N_rabsr"}
+    assert {"v", "r"} <= set(own_variables(candidate, candidate.base, candidate.vehicle)) <= {"u", "v", "r"}
+    values = {"X_uabsu": 0.0, "Y_vabsv": -50.0}
+    assert undetermined(added, values, _covariance([1.0, 1.0])) == ""
+    assert "X_uabsu = 0 is at its bound" in undetermined(
+        candidate.effect(()).parameters, values, _covariance([1.0, 1.0])
+    )
+
+
 def _covariance(errors: Sequence[float]) -> Array:
     """Of independent parameters with these standard errors."""
     return np.diag(np.square(errors))
@@ -220,14 +233,14 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     """A soft spring to a far point with stiffness times length known pulls like a constant force."""
     values = {"k_tension": stiffness, "L_slack": 3457.0, "z_anchor": -3507.0, "x_eye": -2.28}
     errors = [3.1, 4739.0, 4710.0, 0.05]
-    words = undetermined(catalogue()["tether_tension"](()), values, _covariance(errors))
+    words = undetermined(catalogue()["tether_tension"](()).parameters, values, _covariance(errors))
     assert words == "" if known else "k_tension = 5.7 ± 3.1 N/m is not determined" in words
 
 
 @pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])
 def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said: str) -> None:
     effect = catalogue()["thruster_saturation"](())
-    words = undetermined(effect, {"saturation_limit": 0.66}, _covariance([error]))
+    words = undetermined(effect.parameters, {"saturation_limit": 0.66}, _covariance([error]))
     assert words.endswith(said)
     assert bool(words) is bool(said)
 
@@ -250,7 +263,8 @@ def test_an_alternative_is_excluded_only_by_the_fit_that_predicts(
         model = SimpleNamespace(free=("deadband_width",))
         return cast(Fitted, SimpleNamespace(model=model, **known))
 
-    candidate = SimpleNamespace(effect=catalogue()["thruster_deadband"])
+    effect = catalogue()["thruster_deadband"]
+    candidate = SimpleNamespace(effect=effect, parameters=effect(()).parameters)
     trial = SimpleNamespace(candidate=candidate, fit=fit(*weak))
     finding = cast(FoundEffect, SimpleNamespace(trial=trial))
     assert (not undetermined_by_fits(finding, fit(*predicts))) is established
@@ -293,19 +307,23 @@ def test_a_force_whose_direction_is_estimated_is_tested_as_a_vector() -> None:
     """2.2 standard errors of its length are not significant at the level of one parameter at 2."""
     wind = catalogue()["wind"](())
     values = {"area_frontal": 241.0, "wind_from": 0.56}
-    said = undetermined(wind, values, _covariance([110.0, 0.7]))
+    said = undetermined(wind.parameters, values, _covariance([110.0, 0.7]))
     assert said == (
         "its size area_frontal = 241 ± 1.1e+02 m^2 is not determined by these logs: any direction was "
         "possible"
     )
-    assert undetermined(wind, values, _covariance([90.0, 0.7])) == ""
+    assert undetermined(wind.parameters, values, _covariance([90.0, 0.7])) == ""
 
 
 def test_a_memory_without_a_time_of_its_own_is_not_named() -> None:
     memory = catalogue()["radiation_memory"](())
     values = {"X_memu": 2.0, "T_memory": 0.4}
-    assert "T_memory" in undetermined(memory, values, _covariance([0.1, 0.3]))
-    assert undetermined(memory, values, _covariance([0.1, 0.1])) == ""
+
+    def said(error: float) -> str:
+        return undetermined(memory.parameters, values, _covariance([0.1, error]), has_states=True)
+
+    assert "T_memory" in said(0.3)
+    assert said(0.1) == ""
 
 
 def test_a_fit_with_an_effect_set_to_zero_is_the_vehicle_without_it() -> None:
@@ -336,7 +354,7 @@ def test_a_current_is_known_or_unknown_whatever_way_north_is(turn: float) -> Non
 
     def said(along: float) -> str:
         north, east = axes @ [0.1, along]
-        return undetermined(current, {"V_N": float(north), "V_E": float(east)}, covariance)
+        return undetermined(current.parameters, {"V_N": float(north), "V_E": float(east)}, covariance)
 
     assert said(0.03) == ""
     assert "are not determined by these logs" in said(0.015)
@@ -366,7 +384,8 @@ def test_a_mass_that_swings_has_a_frequency_of_its_own(frequency: float, error: 
     """Slower than any tank it is a drift, quicker a stiff part of the hull."""
     values = {"m_slosh": 9.0, "slosh_frequency": frequency, "slosh_damping": 0.1}
     errors = [1.0, error, 0.01]
-    words = undetermined(catalogue()["slosh"](()), values, _covariance(errors))
+    slosh = catalogue()["slosh"](())
+    words = undetermined(slosh.parameters, values, _covariance(errors), has_states=True)
     assert said in words if said else words == ""
 
 

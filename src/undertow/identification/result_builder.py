@@ -581,7 +581,7 @@ def _unrelated_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) 
     own |= {"t"} if may_depend_on_time(candidate, vehicle, grown) else set()
     # A missing mass is equivalent to a fraction of the driving force.
     own |= {*vehicle.command_names} if grown.mass_matrix != vehicle.mass_matrix else set()
-    return unrelated_to(own, left, vehicle, periodic=depends_on_time(vehicle, grown))
+    return unrelated_to(own, left, vehicle, periodic=depends_on_time(candidate, vehicle, grown))
 
 
 def _is_proxy(effect: FoundEffect, before: Fitted, bench: Bench, validator: SimulationValidator) -> str:

@@ -15,7 +15,7 @@ from undertow.identification.estimation.fitted import Fitted, heterogeneity
 from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
 from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import at_bounds
-from undertow.model.effect import Effect, Flow, Measurement, Parameter
+from undertow.model.effect import Flow, Measurement, Parameter
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
@@ -225,7 +225,7 @@ def _size(effect: FoundEffect, given: Fitted, both: Fitted) -> float:
 
     Only those in which the force is linear, if there are any.
     """
-    linear = {p.name: p.linear for p in effect.trial.candidate.effect(()).parameters}
+    linear = {p.name: p.linear for p in effect.trial.candidate.parameters}
     names, errors = [n for n in given.model.free if base_name(n) in linear], given.standard_errors
     names = [n for n in names if linear[base_name(n)]] or names
     own = [n for n in names if errors[n] > 0.0 and np.isfinite(errors[n])]
@@ -236,7 +236,12 @@ def _size(effect: FoundEffect, given: Fitted, both: Fitted) -> float:
 
 # --- whether the logs determine its characteristic parameters ---------------------------------------
 def undetermined(
-    effect: Effect, values: Mapping[str, float], covariance: Array, settings: Settings = DEFAULT
+    parameters: Sequence[Parameter],
+    values: Mapping[str, float],
+    covariance: Array,
+    settings: Settings = DEFAULT,
+    *,
+    has_states: bool = False,
 ) -> str:
     """Which characteristic parameter of an effect these logs do not determine, in words; empty if none.
 
@@ -245,14 +250,16 @@ def undetermined(
     bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
     a product is, which may belong to another effect: a soft spring to a far point is a constant force.
 
-    values, covariance: of the free parameters of a model, its own among them, in the same order.
+    parameters: those that the effect adds to the model; what the vehicle file states of it is no finding.
+    values, covariance: of the free parameters of a model, these among them, in the same order.
+    has_states: whether the effect has states of its own.
     """
-    own = [p for p in effect.parameters if p.name in values]
+    own = [p for p in parameters if p.name in values]
     words = _printed(own, values, covariance)
     differ = partial(_differ_from_zero, values, covariance, settings)
     known = {n for group in _jointly_tested(own) if differ(group) for n in group}
     for p in own:
-        own_time = bool(effect.states) and p.unit in ("s", "rad/s")
+        own_time = has_states and p.unit in ("s", "rad/s")
         if own_time and not (p.name in known and values[p.name] > 0.0):
             which = "time constant" if p.unit == "s" else "frequency"
             return f"its {which} {words[p.name]} is not determined by these logs"
@@ -311,9 +318,11 @@ def _differ_from_zero(
 
 def undetermined_by_fit(finding: FoundEffect, fit: Fitted, settings: Settings) -> str:
     """Which parameter of an effect a fit leaves undetermined or impossible, in words; empty if none."""
-    effect = finding.trial.candidate.effect(())
+    candidate = finding.trial.candidate
     free = {n: fit.values[n] for n in fit.model.free}
-    return undetermined(effect, free, fit.covariance, settings) or _arm_at_bound(effect, fit)
+    states = bool(candidate.effect(()).states)
+    words = undetermined(candidate.parameters, free, fit.covariance, settings, has_states=states)
+    return words or _arm_at_bound(candidate.parameters, fit)
 
 
 def with_effect_zero(finding: FoundEffect, fit: Fitted) -> Fitted | None:
@@ -321,7 +330,7 @@ def with_effect_zero(finding: FoundEffect, fit: Fitted) -> Fitted | None:
 
     If it predicts as well, the fit has only reached another local minimum: the effect improves nothing.
     """
-    own = [p for p in finding.trial.candidate.effect(()).parameters if p.name in fit.model.values.names]
+    own = [p for p in finding.trial.candidate.parameters if p.name in fit.model.values.names]
     sizes = [p for p in own if p.linear] or own
     neutral = {p.name: p.neutral for p in sizes if p.neutral is not None}
     if not neutral or any(p.name in fit.model.values.by_run for p in own):
@@ -332,13 +341,13 @@ def with_effect_zero(finding: FoundEffect, fit: Fitted) -> Fitted | None:
     return fit.with_parameters(values)
 
 
-def _arm_at_bound(effect: Effect, fit: Fitted) -> str:
+def _arm_at_bound(parameters: Sequence[Parameter], fit: Fitted) -> str:
     """Which place is as far off as anything aboard the vehicle can be, in words; empty if none.
 
     A moment without a force acts at infinity: no wind turns a hull that it does not push. Such a fit does not
     confirm the effect, even if it leaves only noise.
     """
-    places = {p.name: p.unit for p in effect.parameters if p.arm_of}
+    places = {p.name: p.unit for p in parameters if p.arm_of}
     if not places:
         return ""
     allowed = dict(zip(fit.model.free, fit.model.largest.tolist(), strict=True))
@@ -355,7 +364,7 @@ def step_wider_than_motion(finding: FoundEffect, bench: Bench) -> str:
     Friction that is fully developed only at speeds that the logs hardly reach is ordinary damping.
     """
     fit = finding.trial.fit
-    for p in finding.trial.candidate.effect(()).parameters:
+    for p in finding.trial.candidate.parameters:
         if (
             p.step_width
             and p.name in fit.model.free
@@ -429,18 +438,21 @@ def _heading_range(heading: Array) -> float:
 
 
 # --- whether a function of its own variables would do much better ----------------------------------
-def _added_symbols(base: Vehicle, grown: Vehicle) -> set[str]:
-    return {str(s) for s in (grown.residual - base.residual).free_symbols}
+def _added_symbols(candidate: Candidate, base: Vehicle, grown: Vehicle) -> set[str]:
+    # An effect that the file states in part is in the equations, its other coefficients at zero.
+    neutral = {p.name: p.neutral for p in candidate.parameters if p.neutral is not None}
+    symbols = {s: neutral[str(s)] for s in base.residual.free_symbols if str(s) in neutral}
+    return {str(s) for s in (grown.residual - base.residual.subs(symbols)).free_symbols}
 
 
-def depends_on_time(base: Vehicle, grown: Vehicle) -> bool:
+def depends_on_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect depends explicitly on time, as waves do."""
-    return "t" in _added_symbols(base, grown)
+    return "t" in _added_symbols(candidate, base, grown)
 
 
 def may_depend_on_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
     """Whether an effect may depend explicitly on time; all actuator effects may."""
-    return depends_on_time(base, grown) or candidate.effect.family == "actuation"
+    return depends_on_time(candidate, base, grown) or candidate.effect.family == "actuation"
 
 
 def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[str, ...]:
@@ -449,7 +461,7 @@ def own_variables(candidate: Candidate, base: Vehicle, grown: Vehicle) -> tuple[
     For a measurement effect these are the velocities, for actuator effects the commands. A constant force
     depends on none.
     """
-    symbols = _added_symbols(base, grown) - {*grown.parameter_names}
+    symbols = _added_symbols(candidate, base, grown) - {*grown.parameter_names}
     names = symbols | {s.partition("_")[2] for s in symbols}  # actuation_prop, memory_u
     present = (*base.velocity_names, *base.pose_names, *base.command_names)
     if found := tuple(n for n in present if n in names):
