@@ -241,6 +241,8 @@ def test_a_variable_that_tells_comes_first() -> None:
 
 def test_pictures_get_what_they_show(lacking: Comparison, complete: Comparison) -> None:
     table = errors_by_regime(lacking)
+    order = [r.name for r in lacking.regimes]
+    assert [*table.regimes] == sorted(table.regimes, key=order.index)
     assert table.before.shape == (3, len(table.regimes))
     assert np.nanmax(table.before) == lacking.result.worst.normalised  # type: ignore[union-attr]
     for found, whole in ((traces(lacking), 0.9), (traces(lacking, free=True), 0.95)):

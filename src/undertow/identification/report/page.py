@@ -53,7 +53,8 @@ _CURVES = 9  # variables that residual forces are drawn against
 def errors_by_regime(before: Comparison, after: Comparison | None = None) -> ErrorMap:
     """Residual force over its noise, by degree of freedom and regime, without regimes that do not occur."""
     rows = tuple(before.result.degrees_of_freedom)
-    names = tuple(dict.fromkeys(c.regime for c in before.result.cells if c.normalised is not None))
+    occurring = {c.regime for c in before.result.cells if c.normalised is not None}
+    names = tuple(dict.fromkeys(r.name for r in before.regimes if r.name in occurring))
     other = None if after is None else _map(after, rows, names)
     return ErrorMap(rows, names, _map(before, rows, names), other, quantity="residual force / noise")
 
