@@ -103,6 +103,14 @@ def test_a_speed_in_newtons_or_read_without_the_vehicle_is_refused(tmp_path: Pat
     wrong = LogMapping(columns={"n": Column(channel="prop", unit="N")})
     with pytest.raises(ut.UndertowError, match="unit 'N' of 'n', speed of a propeller"):
         read_logs([log], vehicle, wrong)
+    pushed = _load(tmp_path, PROPELLER[: PROPELLER.index("[thrusters.propeller]")])
+    for speed in (
+        LogMapping(columns={"n": Column(channel="prop", unit="rev/s")}),
+        LogMapping(channels={"prop": Channel(expression="n", unit="rev/s")}),
+    ):
+        for read in (lambda m: read_logs([log], pushed, m), lambda m: ut.read_log(log, m, vehicle=pushed)):
+            with pytest.raises(ut.UndertowError, match=r"'rev/s' of .* but N .* needed.*thrust_per_command"):
+                read(speed)
     for name, mapping in (
         ("n", LogMapping(columns={"n": Column(channel="prop", unit="rpm")})),
         ("prop", LogMapping(channels={"prop": Channel(expression="n / 60", unit="rev/s")})),

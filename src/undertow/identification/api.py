@@ -39,8 +39,8 @@ from .logs.formats.fieldlog import format_of
 from .logs.mapping import LogMapping, read_mapping
 from .logs.opening import check_fit
 from .logs.opening import save_log as save_log
+from .logs.reading import in_vehicle_units
 from .logs.reading import read_log as read
-from .logs.reading import with_speeds_in_vehicle_units
 from .logs.run import Run
 from .long_logs.choosing import beyond_memory, read_in_parts
 from .planning.problem import PlanRequest
@@ -318,7 +318,7 @@ def read_log(
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
     if vehicle is not None:
         commands = commands or vehicle.command_names
-        meaning = meaning and with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
+        meaning = meaning and in_vehicle_units(meaning, vehicle, f"log {path}")
     if isinstance(path, str | Path) and Path(path).is_file() and format_of(Path(path)) is None:
         parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)
         if len(parts) == 1 and beyond_memory(parts):

@@ -174,13 +174,17 @@ def mapping_for(
     """
     meaning = mapping or mapping_beside(path)
     if meaning is not None:
-        meaning = with_speeds_in_vehicle_units(meaning, vehicle, f"log {path}")
+        meaning = in_vehicle_units(meaning, vehicle, f"log {path}")
     return (meaning or LogMapping()).model_copy(update={"held": held}) if held else meaning
 
 
-def with_speeds_in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
-    """The mapping with speeds of propellers in the unit of the vehicle file (`revolutions`), not in rad/s."""
+def in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMapping:
+    """The mapping with speeds of propellers in the unit of the vehicle file (`revolutions`), not in rad/s.
+
+    A stated unit that is of another kind than the command, such as rev/s for newtons, is refused.
+    """
     counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
+    others = {n: unit for n, unit in vehicle.input_units.items() if n not in counted and unit != "command"}
 
     def factor(name: str, command: str, unit: str) -> float:
         of = f"{where}: unit {unit!r} of {name!r}, speed of a propeller,"
@@ -190,10 +194,25 @@ def with_speeds_in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: s
     for name, column in columns.items():
         if column.channel in counted and column.unit is not None:
             columns[name] = column.in_units_of(factor(name, column.channel, column.unit))
+        elif column.channel in others and column.unit is not None:
+            _require_kind(column.unit, others[column.channel], f"{where}: unit {column.unit!r} of {name!r},")
     for name, channel in channels.items():
         if name in counted and channel.unit is not None:
             channels[name] = channel.in_units_of(factor(name, name, channel.unit))
+        elif name in others and channel.unit is not None:
+            _require_kind(channel.unit, others[name], f"{where}: unit {channel.unit!r} of {name!r},")
     return mapping.model_copy(update={"columns": columns, "channels": channels})
+
+
+def _require_kind(unit: str, wanted: str, of: str) -> None:
+    """Refuse a unit of a command that is of another kind than that which the vehicle takes."""
+    try:
+        scale_offset(unit, wanted, of=f"{of} a command,")
+    except UndertowError as error:
+        if wanted != "N":
+            raise
+        remedy = "a propeller with its diameter and K_T0, a curve, or thrust_per_command"
+        raise UndertowError(f"{error}, or give the thruster in the vehicle file {remedy}") from error
 
 
 def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
