@@ -61,7 +61,7 @@ def test_friction_that_is_not_there_at_the_speeds_of_the_log_is_none(rate: float
     fit = SimpleNamespace(
         values={"friction_speed": 0.02, "friction_rate": rate}, model=SimpleNamespace(free=("friction_rate",))
     )
-    candidate = SimpleNamespace(effect=catalogue()["dry_friction"])
+    candidate = SimpleNamespace(parameters=catalogue()["dry_friction"](()).parameters)
     finding = SimpleNamespace(trial=SimpleNamespace(fit=fit, candidate=candidate))
     data = SimpleNamespace(names=("x", "psi", "u", "r"), segments=[SimpleNamespace(measured=motion)])
     said = step_wider_than_motion(finding, SimpleNamespace(train=data))  # type: ignore[arg-type]

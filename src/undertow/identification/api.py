@@ -317,7 +317,8 @@ def read_log(
     """
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
     if vehicle is not None:
-        commands = commands or vehicle.command_names
+        # Where a rig holds motions, the log needs no commands.
+        commands = commands or (() if meaning and meaning.held else vehicle.command_names)
         meaning = meaning and in_vehicle_units(meaning, vehicle, f"log {path}")
     if isinstance(path, str | Path) and Path(path).is_file() and format_of(Path(path)) is None:
         parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)

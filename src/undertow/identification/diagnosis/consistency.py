@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import sympy as sm
 from scipy.stats import chi2, norm
 
 from undertow.identification.estimation.data import WeakData, inverse_of
@@ -441,8 +442,8 @@ def _heading_range(heading: Array) -> float:
 def _added_symbols(candidate: Candidate, base: Vehicle, grown: Vehicle) -> set[str]:
     # An effect that the file states in part is in the equations, its other coefficients at zero.
     neutral = {p.name: p.neutral for p in candidate.parameters if p.neutral is not None}
-    symbols = {s: neutral[str(s)] for s in base.residual.free_symbols if str(s) in neutral}
-    return {str(s) for s in (grown.residual - base.residual.subs(symbols)).free_symbols}
+    zero = {s: sm.sympify(neutral[str(s)]) for s in base.residual.free_symbols if str(s) in neutral}
+    return {str(s) for s in (grown.residual - base.residual.xreplace(zero)).free_symbols}
 
 
 def depends_on_time(candidate: Candidate, base: Vehicle, grown: Vehicle) -> bool:
