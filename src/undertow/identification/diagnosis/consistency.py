@@ -442,7 +442,7 @@ def _heading_range(heading: Array) -> float:
 def _added_symbols(candidate: Candidate, base: Vehicle, grown: Vehicle) -> set[str]:
     # An effect that the file states in part is in the equations, its other coefficients at zero.
     neutral = {p.name: p.neutral for p in candidate.parameters if p.neutral is not None}
-    zero = {s: sm.sympify(neutral[str(s)]) for s in base.residual.free_symbols if str(s) in neutral}
+    zero = {s: sm.Float(neutral[str(s)]) for s in base.residual.free_symbols if str(s) in neutral}
     return {str(s) for s in (grown.residual - base.residual.xreplace(zero)).free_symbols}
 
 
