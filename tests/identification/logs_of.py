@@ -1,4 +1,4 @@
-"""Cases of the independent generator as runs, and the model with its true values."""
+"""Cases of the independent generator as runs, the model with its true values, and runs of any vehicle."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+import undertow as ut
 from benchmarks.hidden_effects import Case
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -48,3 +49,36 @@ def true_vehicle(case: Case) -> Vehicle:
 def with_effect(vehicle: Vehicle, effect: str, **values: float) -> Vehicle:
     """The model with one more effect at given values, which may be refitted."""
     return vehicle.with_effect(catalogue()[effect], {n: Value(v, estimate=True) for n, v in values.items()})
+
+
+def simulated_runs(
+    vehicle: Vehicle,
+    count: int,
+    seconds: float,
+    *,
+    seed: int,
+    size: float,
+    hold: int,
+    noise: float,
+    unlogged: float = 0.0,
+) -> list[Run]:
+    """Runs of a vehicle at 10 Hz under random commands, each held for `hold` samples.
+
+    size: of the largest command; noise: of each channel, as a share of its standard deviation; unlogged:
+    steps of a slow random force in each command that the log does not contain.
+    """
+    model, rng, step = ut.compile(vehicle), np.random.default_rng(seed), 0.1
+    steps, half, inputs = round(seconds / step), len(vehicle.pose_names), len(model.inputs)
+    runs = []
+    for i in range(count):
+        u = np.repeat(rng.uniform(-size, size, (steps // hold + 1, inputs)), hold, axis=0)[:steps]
+        slow = np.zeros((steps, inputs))
+        for k in range(1, steps if unlogged else 0):
+            slow[k] = 0.97 * slow[k - 1] + unlogged * rng.standard_normal(inputs)
+        x = model.simulate(np.zeros(len(model.states)), u + slow, step)[:steps, : 2 * half]
+        motion = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=True))
+        noisy = {n: y + noise * np.std(y) * rng.standard_normal(steps) for n, y in motion.items()}
+        commands = dict(zip(vehicle.command_names, u.T, strict=True))
+        name = f"{vehicle.name} {i}"
+        runs.append(Run(name, step * np.arange(steps), noisy | commands, sha256=name))
+    return runs

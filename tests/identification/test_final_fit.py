@@ -10,7 +10,7 @@ import pytest
 
 import undertow as ut
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of
 from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.functions import Functions
@@ -32,21 +32,11 @@ BUNDLED = ("box-hull", "cybership2", "mini-auv", "bluerov2")
 STEP = 0.1
 
 
-def _logs(name: str, count: int = 2, seconds: float = 60.0) -> list[ut.Run]:
-    """Runs of a bundled vehicle under commands that are held for two seconds each, with noise."""
+def _logs(name: str) -> list[ut.Run]:
+    """Two runs of a bundled vehicle, with noise."""
     vehicle = ut.load_vehicle(name)
-    model, rng = ut.compile(vehicle), np.random.default_rng(7)
-    steps, half = round(seconds / STEP), len(vehicle.pose_names)
     size = 0.1 * vehicle.value_of("m").value
-    runs = []
-    for i in range(count):
-        u = np.repeat(rng.uniform(-size, size, (steps // 20 + 1, len(model.inputs))), 20, axis=0)[:steps]
-        x = model.simulate(np.zeros(len(model.states)), u, STEP)[:steps, : 2 * half]
-        channels = dict(zip((*vehicle.pose_names, *vehicle.velocity_names), x.T, strict=True))
-        noisy = {n: y + 0.005 * np.std(y) * rng.standard_normal(steps) for n, y in channels.items()}
-        commands = dict(zip(vehicle.command_names, u.T, strict=True))
-        runs.append(ut.Run(f"{name} {i}", STEP * np.arange(steps), noisy | commands, sha256=f"{name}{i}"))
-    return runs
+    return simulated_runs(vehicle, 2, 60.0, seed=7, size=size, hold=20, noise=0.005)
 
 
 def _guessed(vehicle: Vehicle) -> Vehicle:

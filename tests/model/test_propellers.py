@@ -98,6 +98,17 @@ def test_a_speed_with_its_unit_becomes_what_the_vehicle_counts(
             np.testing.assert_allclose(read.channels["prop"], speed, rtol=1e-12)
 
 
+def test_a_log_whose_motions_a_rig_holds_needs_no_commands_but_has_them_if_it_can(tmp_path: Path) -> None:
+    vehicle, log = _with_revolutions(tmp_path, "rev/s")
+    mapping = LogMapping(columns={"n": Column(channel="prop", unit="rpm")}, held=("yaw",))
+    assert ut.read_log(log, mapping, vehicle=vehicle).has("prop")
+    towed = LogMapping(columns={"n": Column(channel="speed_of_the_carriage")}, held=("yaw",))
+    assert not ut.read_log(log, towed, vehicle=vehicle).has("prop")
+    plain = tmp_path / "plain.csv"
+    plain.write_text(log.read_text().replace("r,n", "r,prop"))
+    assert ut.read_log(plain, LogMapping(held=("yaw",)), vehicle=vehicle).has("prop")
+
+
 def test_a_speed_in_newtons_or_read_without_the_vehicle_is_refused(tmp_path: Path) -> None:
     vehicle, log = _with_revolutions(tmp_path, "rev/s")
     wrong = LogMapping(columns={"n": Column(channel="prop", unit="N")})

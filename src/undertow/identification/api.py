@@ -289,8 +289,9 @@ def read_log(
     mapping : path or Mapping, optional
         Meaning of the columns; without it they must have the channel names and SI units of undertow.
     vehicle : Vehicle, optional
-        The vehicle that wrote the log: its commands must be in it, and revolutions of propellers are
-        converted to the unit in which the vehicle counts them (rad/s without it).
+        The vehicle that wrote the log: its commands must be in it, unless a rig holds motions, and
+        revolutions of propellers are converted to the unit in which the vehicle counts them (rad/s without
+        it).
     window : (t_min, t_max)
         Part of the log that is used, s.
     commands : sequence of str
@@ -316,15 +317,18 @@ def read_log(
     (1200,)
     """
     meaning = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
+    also: Sequence[str] = ()
     if vehicle is not None:
-        # Where a rig holds motions, the log needs no commands.
-        commands = commands or (() if meaning and meaning.held else vehicle.command_names)
         meaning = meaning and in_vehicle_units(meaning, vehicle, f"log {path}")
+        if meaning and meaning.held:  # by a rig: such a log needs no commands
+            also = vehicle.command_names
+        else:
+            commands = commands or vehicle.command_names
     if isinstance(path, str | Path) and Path(path).is_file() and format_of(Path(path)) is None:
         parts = long_logs(Path(path), meaning, tuple(commands), window, required=True)
         if len(parts) == 1 and beyond_memory(parts):
             return read_in_parts(parts[0])
-    return read(path, meaning, commands, window=window)
+    return read(path, meaning, commands, window=window, also=also)
 
 
 @one_thread()

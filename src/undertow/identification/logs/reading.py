@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
@@ -36,7 +37,7 @@ from undertow.typing import Array, Flags, Index, Progress
 
 from . import opening
 from .formats.fieldlog import Window, one_run
-from .mapping import Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
+from .mapping import Channel, Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
 from .opening import FieldLogs
 from .pose_velocity import velocities_from_pose
 from .run import (
@@ -58,6 +59,7 @@ from .run import (
 )
 
 Commands = dict[str, float]
+Mapped = TypeVar("Mapped", Column, Channel)
 
 
 def read_log(
@@ -186,28 +188,24 @@ def in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMa
     counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
     others = {n: unit for n, unit in vehicle.input_units.items() if n not in counted and unit != "command"}
 
-    def factor(name: str, command: str, unit: str) -> float:
-        of = f"{where}: unit {unit!r} of {name!r}, speed of a propeller,"
-        return scale_offset(unit, "rad/s", of=of)[0] * TURNS["rad/s"] / counted[command]
+    def converted(name: str, command: str, part: Mapped) -> Mapped:
+        of = f"{where}: unit {part.unit!r} of {name!r},"
+        if part.unit is not None and command in counted:
+            speed = scale_offset(part.unit, "rad/s", of=f"{of} speed of a propeller,")[0]
+            return part.in_units_of(speed * TURNS["rad/s"] / counted[command])
+        if part.unit is not None and command in others:
+            _require_kind(part.unit, others[command], of=f"{of} a command,")
+        return part
 
-    columns, channels = dict(mapping.columns), dict(mapping.channels)
-    for name, column in columns.items():
-        if column.channel in counted and column.unit is not None:
-            columns[name] = column.in_units_of(factor(name, column.channel, column.unit))
-        elif column.channel in others and column.unit is not None:
-            _require_kind(column.unit, others[column.channel], f"{where}: unit {column.unit!r} of {name!r},")
-    for name, channel in channels.items():
-        if name in counted and channel.unit is not None:
-            channels[name] = channel.in_units_of(factor(name, name, channel.unit))
-        elif name in others and channel.unit is not None:
-            _require_kind(channel.unit, others[name], f"{where}: unit {channel.unit!r} of {name!r},")
+    columns = {n: converted(n, column.channel, column) for n, column in mapping.columns.items()}
+    channels = {n: converted(n, n, channel) for n, channel in mapping.channels.items()}
     return mapping.model_copy(update={"columns": columns, "channels": channels})
 
 
 def _require_kind(unit: str, wanted: str, of: str) -> None:
     """Refuse a unit of a command that is of another kind than that which the vehicle takes."""
     try:
-        scale_offset(unit, wanted, of=f"{of} a command,")
+        scale_offset(unit, wanted, of=of)
     except UndertowError as error:
         if wanted != "N":
             raise
