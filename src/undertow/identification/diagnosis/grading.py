@@ -170,6 +170,11 @@ def undetermined_by_fits(
     return words and f"{words} (fitted to the residual force alone)"
 
 
+def insignificance(finding: FoundEffect) -> str:
+    """Doubt about an effect that improves predictions, but whose force is not significant."""
+    return f"the residual alone does not show its force (p = {finding.p_value:.2g})"
+
+
 _NOT_BEST = "other effects are better in nearly all resamples of the logs"
 _OTHER_MINIMUM = "its fit predicts as well with it set to zero: it has only reached another local minimum"
 
@@ -199,6 +204,7 @@ class Grading:
 
     graded: the effects that are in the model already.
     later: effects found after this one in an earlier pass.
+    significant: whether the candidates are those whose force is significant, or the others.
     """
 
     def __init__(
@@ -207,8 +213,11 @@ class Grading:
         graded: Sequence[Graded],
         predictions: Predictions,
         later: Sequence[FoundEffect] = (),
+        *,
+        significant: bool = True,
     ) -> None:
         self._round, self._graded, self._later = current, graded, later
+        self._significant = significant
         self._bench, self._settings = current.bench, current.bench.settings
         self._validator, self._squares_of = predictions.validator, predictions.squares_ahead
         self._found: dict[str, FoundEffect] = {}
@@ -226,10 +235,11 @@ class Grading:
         if not self._sufficient:
             return None
         chosen = next((f for f in self._unaffected if not self._doubts[f.id]), None)
-        if chosen is not None:
+        if chosen is not None and self._significant:
             return Graded(chosen, self._rivals_of(chosen), self.gains[chosen.id], "")
-        first = self._sufficient[0]
+        first = chosen or self._sufficient[0]
         doubt = doubt_of_companion(self._refuted) if self._refuted else self._doubts[first.id]
+        doubt = doubt or insignificance(first)
         return Graded(first, [], self.gains[first.id], doubt)
 
     @property
@@ -249,6 +259,8 @@ class Grading:
         If a record was filtered, the leader by residual may not improve predictions; if the weak form fits
         poorly, the reverse holds: the first of both orders are taken alternately.
         """
+        if not self._significant:
+            return self._improving_as_they_are()
         found = beyond_chance(self._round)
         most = self._settings.simulated_candidates
         if len(found) <= most:
@@ -258,6 +270,17 @@ class Grading:
         by_simulation = np.argsort(np.argsort(squares, kind="stable"))
         turn = np.minimum(2 * by_simulation, 2 * np.arange(len(found)) + 1)  # they come in order of residual
         return [found[k] for k in np.argsort(turn, kind="stable")[:most]]
+
+    def _improving_as_they_are(self) -> list[FoundEffect]:
+        """Candidates whose force is not significant, but improves predictions as fitted by the weak form."""
+        known = {f.id for f in beyond_chance(self._round)}
+        found = [f for f in self._round.findings if f.trial.kept and f.id not in known]
+        fits = [self._bench.base, *(f.trial.fit for f in found)]
+        before, *squares = mapped(lambda i: self._validator.squares_ahead(fits[i]), len(fits))
+        gains = [self._gain([f], before, after) for f, after in zip(found, squares, strict=True)]
+        order = sorted(range(len(found)), key=lambda i: -gains[i].log_fall)
+        helpful = [found[i] for i in order if gains[i].suffices(self._settings.worth)]
+        return helpful[: self._settings.simulated_candidates]
 
     def _predicted(self, findings: Sequence[FoundEffect]) -> dict[float, Array]:
         """Predict with each finding, and without any; the squares of the latter.
@@ -294,7 +317,10 @@ class Grading:
         return gain_of_effects(before, after, findings, self._validator)
 
     def _is_sufficient(self, finding: FoundEffect) -> bool:
-        return self.gains[finding.id].suffices(self._settings.worth) and not self._other_minimum(finding)
+        gain, settings = self.gains[finding.id], self._settings
+        # Without a significant force, predictions alone have to be beyond chance.
+        by_chance = not self._significant and gain.better[0] < 1.0 - settings.false_alarm_rate
+        return not by_chance and gain.suffices(settings.worth) and not self._other_minimum(finding)
 
     def _other_minimum(self, finding: FoundEffect) -> str:
         """That the fit predicts as well with the effect set to zero, in words; empty if not."""

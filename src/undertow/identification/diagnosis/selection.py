@@ -195,8 +195,10 @@ class _Selector:
         """
         current = self._round([g.chosen for g in graded], rounds)
         best = self._best(current, graded)
-        if best is not None or graded or not np.any(current.bench.base.disturbance):
+        if best is not None:
             return current, best
+        if graded or not np.any(current.bench.base.disturbance):
+            return current, self._insignificant(current, graded)
         slow = try_all(current.bench.without_disturbance(), self._known, self._report_weak_form)
         best = self._best(slow, graded)
         if best is not None:
@@ -205,7 +207,15 @@ class _Selector:
         additional = [f for f in beyond_chance(slow) if f.id not in found]
         known = {f.id for f in additional}
         others = [f for f in current.findings if f.id not in known]
-        return replace(current, findings=[*others[: len(found)], *additional, *others[len(found) :]]), None
+        current = replace(current, findings=[*others[: len(found)], *additional, *others[len(found) :]])
+        return current, self._insignificant(current, graded)
+
+    def _insignificant(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
+        """The best candidate for prediction among those whose force is not significant.
+
+        A slow force is hidden by quick ones in the residual of every sample, but adds up in simulations.
+        """
+        return Grading(current, graded, self._predictions, self._later, significant=False).best()
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate of a round; of the first one, with reasons against the others."""

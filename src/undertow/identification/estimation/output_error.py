@@ -159,7 +159,7 @@ class Descent:
             return candidates[0]
         self._set_weights(np.ones(len(self.windows.names)))
         cost = [self._shooting.cost(p, self._shooting.measured_starts(p)) for p in candidates]
-        return candidates[int(np.argmin(cost))]
+        return candidates[int(np.argmin(np.nan_to_num(cost, nan=np.inf)))]
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Minimise and reweight every channel by its residual, until the weights converge.
@@ -434,16 +434,18 @@ def _fit_windows(
     return descent.fit(p) if loss == "gaussian" else descent.fit_robust(p, LOSSES[loss])
 
 
-def _stated_start(model: WeakModel, values: Mapping[str, float]) -> dict[str, float]:
-    """Fitted values, but those of the vehicle file for coefficients that it states.
+def _stated_starts(model: WeakModel, values: Mapping[str, float]) -> list[dict[str, float]]:
+    """Fitted values, but those of the vehicle file for coefficients: with an effect that is tried, and without.
 
-    Near an incomplete model, the weak form may end where simulations diverge. An effect that is tried is not
-    in the file: it keeps its fitted values.
+    Near an incomplete model, the weak form may end where simulations diverge, and so may a fit to free starts
+    of short windows. An effect that is tried is not in the file: its coefficients are zero there.
     """
     vehicle = model.functions.vehicle
     linear = [n for n in model.free if vehicle.declaration(base_name(n)).linear]
     stated = {n: vehicle.value_of(base_name(n)).value for n in linear}
-    return dict(values) | {n: value for n, value in stated.items() if value and np.isfinite(value)}
+    stated = {n: value for n, value in stated.items() if np.isfinite(value)}
+    nonzero = {n: value for n, value in stated.items() if value}
+    return [dict(values) | nonzero, dict(values) | stated]
 
 
 def final_fit(
@@ -484,7 +486,7 @@ def final_fit(
     ) -> OutputErrorFit | None:
         """The next fit; None where its simulation diverges, as that of a poor model may."""
         progress(0.12 * len(fits), f"output error over {f'{horizon:.3g} s' if horizon else 'whole runs'}")
-        starts = [at.values, _stated_start(model, at.values)] if at is weak else [at.values]
+        starts = [at.values, *_stated_starts(model, at.values)]
         try:
             return _fit_windows(model, runs, horizon, starts, loss, kinematics=kinematics)
         except UndertowError:
