@@ -112,6 +112,30 @@ def test_psi_is_unwrapped_across_a_gap_and_other_angles_only_when_asked(log):
     np.testing.assert_allclose(asked.channels["phi"], run.channels["psi"])
 
 
+@pytest.mark.parametrize("interval", [0.9, 1.0, 2.6])
+@pytest.mark.parametrize("rate", [0.05, -0.05])
+def test_a_heading_resampled_across_its_jump_lacks_the_samples_in_between(log, interval, rate):
+    slow, t, start = np.arange(0.0, 61.0, interval), np.arange(0.0, 59.0, 0.5), 3.14 + 1.6 * np.sign(rate)
+    wrapped = np.degrees(start + rate * slow) % 360
+    psi = np.interp(t, slow, wrapped)
+    run = log("t,psi\n" + "".join(f"{a},{b}\n" for a, b in zip(t, np.radians(psi), strict=True)))
+    true, there = start + rate * t, np.isfinite(run.channels["psi"])
+    np.testing.assert_allclose(np.sin(run.channels["psi"][there] - true[there]), 0.0, atol=1e-9)
+    assert np.ptp(np.round((run.channels["psi"] - true)[there], 6)) == 0.0  # no turn too many
+    lost = np.abs(np.angle(np.exp(1j * (np.radians(psi) - true)))) > 1e-6
+    assert lost.any()
+    np.testing.assert_array_equal(~there, lost)
+    assert run.wrapped["psi"][lost] == pytest.approx(np.radians(psi)[lost])
+
+
+def test_a_heading_of_a_vehicle_that_spins_is_left_as_it_is(log):
+    t = np.arange(0.0, 30.0, 0.2)
+    rate = np.where(t % 10 < 5, 4.0, 0.0)
+    true = np.cumsum(rate) * 0.2
+    run = log("t,psi\n" + "".join(f"{a},{b}\n" for a, b in zip(t, true % (2 * np.pi), strict=True)))
+    np.testing.assert_allclose(np.diff(run.channels["psi"]), np.diff(true), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("stamps", "unit"),
     [
@@ -340,8 +364,9 @@ def test_degrees_become_radians_up_to_whole_turns(tmp_path, angles):
     pl.DataFrame({"t": np.arange(10.0), "heading": angles}).write_csv(path)
     mapping = LogMapping.model_validate({"columns": {"heading": {"channel": "psi", "unit": "deg"}}})
     psi = read_log(path, mapping).channels["psi"]
-    assert np.all(np.abs(np.diff(psi)) <= np.pi + 1e-9)
-    np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * np.radians(angles)), atol=1e-9)
+    there = np.isfinite(psi)  # others count as resampled across a jump
+    assert np.all(np.abs(np.diff(psi[there])) <= np.pi + 1e-9)
+    np.testing.assert_allclose(np.exp(1j * psi)[there], np.exp(1j * np.radians(angles))[there], atol=1e-9)
 
 
 @settings(max_examples=200)

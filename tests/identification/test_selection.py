@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
+from tests.identification.logs_of import simulated_runs
 from tests.identification.surge import surge_run, surge_vehicle
+from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.candidates import Candidate, possible
 from undertow.identification.diagnosis.consistency import (
     SizeByPart,
@@ -21,6 +24,8 @@ from undertow.identification.diagnosis.consistency import (
 from undertow.identification.diagnosis.evidence import FoundEffect
 from undertow.identification.diagnosis.grading import (
     Graded,
+    Grading,
+    Predictions,
     added_mass_doubt,
     dominated,
     substitutes,
@@ -32,6 +37,7 @@ from undertow.identification.diagnosis.prediction_gain import (
     gain_of_effects,
     improved_velocities,
 )
+from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.selection import Selection, merged, without_rivals_found_later
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.validation import SimulationValidator
@@ -406,3 +412,27 @@ def test_effects_in_doubt_come_after_the_others() -> None:
     selection = Selection(graded, [], {}, {})
     assert [g.chosen.id for g in selection.established] == ["bias"]
     assert [g.chosen.id for g in selection.established_first.graded] == ["bias", "force"]
+
+
+def test_an_effect_whose_force_is_not_significant_may_improve_predictions_but_is_not_established() -> None:
+    whole, known = load_vehicle("cybership2"), catalogue()
+    pushed = whole.with_effect(
+        known["constant_force"], {"X_0": Value(0.0), "Y_0": Value(0.2), "N_0": Value(0.0)}
+    )
+    runs = simulated_runs(pushed, 3, 100.0, seed=3, size=2.0, hold=40, noise=0.002, unlogged=0.01)
+    train = prepare(runs[:2], whole)
+    bench = open_bench(whole, train, prepare(runs[2:], whole, sigma=train.sigma))
+    current = try_all(bench, {"constant_force": known["constant_force"]}, lambda done, words: None)
+    predictions = Predictions(
+        SimulationValidator(whole, runs[:2], runs[2:], train.sigma), lambda done, words: None
+    )
+    found = Grading(current, [], predictions).best()
+    assert found is not None
+    assert found.doubt == ""
+    assert Grading(current, [], predictions, significant=False).best() is None  # each is asked once
+    hidden = replace(current, findings=[replace(f, p_value=0.5) for f in current.findings])
+    assert Grading(hidden, [], predictions).best() is None
+    weak = Grading(hidden, [], predictions, significant=False).best()
+    assert weak is not None
+    assert weak.doubt == "the residual alone does not show its force (p = 0.5)"
+    assert weak.gain == found.gain

@@ -29,7 +29,14 @@ from undertow.identification.logs.mapping import (
     velocity_to_body,
     velocity_to_earth,
 )
-from undertow.identification.logs.run import Run, far_from_usual, unwrapped, with_reports
+from undertow.identification.logs.run import (
+    Run,
+    across_jump,
+    far_from_usual,
+    unwrapped,
+    with_reports,
+    without_jumps,
+)
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.typing import Array
@@ -544,7 +551,7 @@ def _turned_in_a_second(run: Run) -> float:
 
 
 def _unwrapped(run: Run, name: str) -> Run:
-    return with_reports(run, {name: unwrapped(run.reports(name))}) if run.has(name) else run
+    return with_reports(run, {name: without_jumps(run.t, run.reports(name))}) if run.has(name) else run
 
 
 def _full_turns(run: Run, name: str) -> int:
@@ -562,20 +569,17 @@ def _present_angles(run: Run, name: str) -> Array:
 
 
 def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
-    """An angle that takes a turn in two steps: it was interpolated, or averaged, across its jump."""
-    for run in runs:
-        for name in ANGLES:
-            step = np.diff(_present_angles(run, name))
-            if len(step) < 10 or np.median(np.abs(step)) > _SMALL_STEP:
-                continue
-            two = np.abs(step[1:] + step[:-1])
-            split = np.minimum(np.abs(step[1:]), np.abs(step[:-1])) > _SMALL_STEP
-            count = int(np.sum((np.abs(two - _TURN) < _TURN_TOLERANCE) & split))
-            if count:
-                yield Finding(
-                    id="angle_across_its_jump",
-                    severity="warning",
-                    text=f"{run.name}: {name} makes a full turn within two samples, {count} times: it was "
-                    "averaged or interpolated across the jump at ±180 degrees; log it as measured",
-                    evidence={"times": float(count)},
-                )
+    """An angle that was interpolated, or averaged, across its jump by a turn."""
+    for run, name in product(runs, ANGLES):
+        logged = run.wrapped.get(name, run.reports(name) if run.has(name) else np.zeros(0))
+        count = int(np.sum(across_jump(run.t[: len(logged)], logged)))
+        if not count:
+            continue
+        left_out = name in run.wrapped
+        yield Finding(
+            id="angle_across_its_jump",
+            severity="note" if left_out else "warning",
+            text=f"{run.name}: {name} was interpolated or averaged across its jump by a turn; "
+            f"{count} of its samples are {'left out' if left_out else 'wrong: unwrap it before resampling'}",
+            evidence={"samples": float(count)},
+        )

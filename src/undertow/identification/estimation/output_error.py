@@ -435,7 +435,7 @@ def _fit_windows(
 
 
 def _stated_starts(model: WeakModel, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """Fitted values, but those of the vehicle file for coefficients: with an effect that is tried, and without.
+    """Fitted values, but coefficients as in the vehicle file: with an effect that is tried, and without.
 
     Near an incomplete model, the weak form may end where simulations diverge, and so may a fit to free starts
     of short windows. An effect that is tried is not in the file: its coefficients are zero there.

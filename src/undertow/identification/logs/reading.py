@@ -53,9 +53,9 @@ from .run import (
     interpolated_mean,
     later_than_before,
     on_one_clock,
-    unwrapped,
     with_heading_corrected,
     with_report_noise,
+    without_jumps,
 )
 
 Commands = dict[str, float]
@@ -293,7 +293,7 @@ def run_of_table(
         mapping=mapping,
         dropped=rows - table.height,
     ).slice(*window)
-    whole = {name: unwrapped(data) for name, data in run.channels.items() if mapping.jumps(name)}
+    whole = {n: without_jumps(run.t, data) for n, data in run.channels.items() if mapping.jumps(n)}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
     run = replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
     slow = {turned_name(c.channel, frames.position) for c in sources.values() if c.fresh is not None}
@@ -380,7 +380,7 @@ def _on_rows(
     in_gap = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
     read |= {n: np.where(lost, np.nan, read[n]) for n, lost in in_gap.items()}
     noise = _stated_noise(sources, mapping, where)
-    series, angles = {}, {n: unwrapped(column) for n, column in read.items() if mapping.jumps(n)}
+    series, angles = {}, {n: without_jumps(t, column) for n, column in read.items() if mapping.jumps(n)}
     for name, column in {**read, **angles}.items():
         stated = noise.get(turned_name(name, mapping.frames.position))
         series[name] = Series.of(t - late[name], column, stated)

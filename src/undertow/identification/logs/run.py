@@ -6,6 +6,7 @@ import builtins
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -262,6 +263,60 @@ def _channel_row(name: str, data: NDArray[np.float64]) -> tuple[object, ...]:
     there = data[np.isfinite(data)]
     span = tuple(float(x) for x in (there.min(), there.mean(), there.max())) if len(there) else (None,) * 3
     return name, UNITS.get(name, ""), len(there), *span
+
+
+@dataclass(frozen=True)
+class JumpSettings:
+    """When an angle was interpolated or averaged across its jump by a turn."""
+
+    fastest: float = np.pi  # rate that no vehicle turns at, rad/s
+    # The same relative to the rate below which this vehicle turns in such a share of the samples.
+    times_usual: float = 5.0
+    usual: float = 0.95
+    tolerance: float = 0.3  # rad that the vehicle itself turns meanwhile
+
+
+JUMPS = JumpSettings()
+
+
+def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Samples of an angle on its way from one end of its range to the other, which no vehicle has turned.
+
+    A heading that is resampled before it is unwrapped passes through 180 degrees between 359 and 1.
+    """
+    found = np.zeros(len(angle), dtype=bool)
+    there = np.flatnonzero(np.isfinite(angle))
+    step = np.diff(angle[there])
+    if not len(step):
+        return found
+    rate = step / np.diff(t[there])
+    usual = float(np.quantile(np.abs(rate), JUMPS.usual))
+    fast = np.sign(step) * (np.abs(rate) > min(JUMPS.fastest, JUMPS.times_usual * usual))
+    begins = np.flatnonzero(np.diff(fast, prepend=0.0))
+    for begin, end in pairwise([*begins, len(step)]):
+        around = fast[max(begin - 1, 0) : end + 1]
+        if fast[begin] and np.count_nonzero(around) == end - begin:  # else a vehicle that spins
+            first, last = _way_across(step, begin, end)
+            found[there[first + 1 : last]] = True
+    return found
+
+
+def _way_across(step: NDArray[np.float64], begin: int, end: int) -> tuple[int, int]:
+    """The longest range of steps, up to one more on each side, that make a turn; an empty one if none does."""
+    ranges = [(a, b) for a in (begin - 1, begin) for b in (end + 1, end) if a >= 0 and b <= len(step)]
+    return next(((a, b) for a, b in ranges if _is_turn_in_parts(step[a:b])), (begin, begin))
+
+
+def _is_turn_in_parts(steps: NDArray[np.float64]) -> bool:
+    """Whether steps of one sign add up to a turn, none of them being the jump itself."""
+    turn, short = 2 * np.pi - JUMPS.tolerance, 2 * np.pi - 2 * JUMPS.tolerance
+    whole = turn < abs(float(steps.sum())) < 2 * np.pi + JUMPS.tolerance
+    return bool(whole and np.ptp(np.sign(steps)) == 0 and np.max(np.abs(steps)) < short)
+
+
+def without_jumps(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An angle without jumps by turns; samples on the way across a jump are missing."""
+    return unwrapped(np.where(across_jump(t, angle), np.nan, angle))
 
 
 def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
