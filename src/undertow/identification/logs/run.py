@@ -302,7 +302,7 @@ def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[n
 
 
 def _way_across(step: NDArray[np.float64], begin: int, end: int) -> tuple[int, int]:
-    """The longest range of steps, up to one more on each side, that make a turn; an empty one if none does."""
+    """The longest range of steps, up to one more on each side, that make a turn; an empty one if none."""
     ranges = [(a, b) for a in (begin - 1, begin) for b in (end + 1, end) if a >= 0 and b <= len(step)]
     return next(((a, b) for a, b in ranges if _is_turn_in_parts(step[a:b])), (begin, begin))
 
