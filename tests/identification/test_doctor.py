@@ -93,6 +93,7 @@ READING = [
     (broken.scaled("v", by=-1), "flipped_axis", ["[columns]", 'v = { channel = "v", scale = -1.0 }']),
     (broken.scaled("psi", by=-1), "flipped_axis", ['psi = { channel = "psi", scale = -1.0 }']),
     (broken.scaled("psi", by=1, plus=np.pi / 2), "heading_offset", ["offset = -1.5708"]),
+    (broken.scaled("psi", by=1, plus=-0.7), "heading_offset", ["offset = 0.7"]),
     (broken.north_east_velocity, "velocity_in_ned", ["[frames]", 'velocity = "NED"']),
     (broken.through_water(0.1, -0.07), "velocity_through_water", ["[water]", "velocity = [0.1", ", -0.0"]),
 ]
@@ -183,6 +184,20 @@ def test_an_angle_that_was_averaged_across_its_jump() -> None:
     (found,) = angles_across_jumps([Run("yaw", t, {"psi": psi})])
     assert found.severity == "warning"
     assert f"{len(jumps)} of its samples are wrong" in found.text
+
+
+def test_a_small_offset_of_the_heading_is_that_of_a_sensor_whatever_else_disagrees(
+    usv: Case, read: Callable[..., Run]
+) -> None:
+    def wrong(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        other = np.std(columns["r"]) * np.sin(0.8 * columns["t"])
+        return {**columns, "psi": columns["psi"] - 0.2, "r": columns["r"] + other}
+
+    found = _doctored(usv, wrong, read).result
+    assert not found.mistakes
+    (sensor,) = [f for f in found.findings if f.id == "velocity_sensor"]
+    assert sensor.evidence["alpha"] == pytest.approx(0.2, abs=0.02)
+    assert "undertow add velocity_misalignment or attitude_bias" in sensor.text
 
 
 # --- mistakes seen in the fit of the model ---------------------------------------------------------------

@@ -264,7 +264,8 @@ class _Examiner:
     def _undo_next(self, kinematics: Kinematics) -> bool:
         """Undo the mistake that explains most; False where there is none that is certain."""
         fits = sensors.sensor_fits(kinematics, self.runs)
-        known = reading_mistakes(self.mapping, self.runs)
+        known = list(reading_mistakes(self.mapping, self.runs))
+        known += sensors.heading_offset(kinematics, self.runs, self.mapping)
         found = best_explanation(kinematics, self.runs, known, self.vehicle)
         found = found or sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         if found is None:

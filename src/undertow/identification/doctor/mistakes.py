@@ -447,19 +447,22 @@ def flipped_axes(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
 
 def turned_heading(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
     """A heading that counts from another direction than north, by a quarter or half turn."""
+    yield from (heading_off_by(q * np.pi / 2, mapping) for q in (1, -1, 2) if "psi" in moving)
+
+
+def heading_off_by(angle: float, mapping: LogMapping) -> Mistake:
+    """A heading from which such an angle is missing, rad."""
     sign = -1.0 if attitude_of(mapping) == "ENU" else 1.0
-    for quarters in (1, -1, 2) if "psi" in moving else ():
-        angle = quarters * np.pi / 2
 
-        def undo(run: Run, angle: float = angle) -> Run:
-            return with_channels(run, {"psi": run.channels["psi"] + angle})
+    def undo(run: Run) -> Run:
+        return with_channels(run, {"psi": run.channels["psi"] + angle})
 
-        def edits(m: LogMapping, angle: float = angle) -> Edits:
-            column = column_of(m, "psi")[1]
-            shift = sign * (np.degrees(angle) if column.unit == "deg" else angle)
-            return (column_edit(m, "psi", offset=column.offset + round(shift, 6)),)
+    def edits(m: LogMapping) -> Edits:
+        column = column_of(m, "psi")[1]
+        shift = sign * (np.degrees(angle) if column.unit == "deg" else angle)
+        return (column_edit(m, "psi", offset=column.offset + round(shift, 6)),)
 
-        yield Mistake("heading_offset", f"psi is off by {90 * quarters:+d} degrees", undo, edits)
+    return Mistake("heading_offset", f"psi is off by {np.degrees(angle):+.3g} degrees", undo, edits)
 
 
 def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:

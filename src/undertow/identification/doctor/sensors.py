@@ -25,6 +25,7 @@ from .mistakes import (
     changed_axes,
     changed_channels,
     combined,
+    heading_off_by,
     with_channels,
 )
 
@@ -60,6 +61,8 @@ class SensorSettings:
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
     scale_error: float = 0.3  # standard error from which the scale of a velocity is not determined
     unexplained: float = 0.05  # mismatch that is reported where nothing explains it
+    misaligned: float = 0.5  # largest angle by which a sensor is misaligned, rad
+    quarter: float = 0.1  # angle from a quarter turn within which that is meant, rad
     no_signal: float = 1e-3  # share of the other below which a pose rate, or a velocity, measures nothing
 
 
@@ -101,6 +104,17 @@ class SensorFit:
         """Whether the parameters are such as real sensors have."""
         return bool(np.all(np.abs(self.value) <= self.sensor.largest))
 
+    def shares(self, before: Mismatch) -> tuple[float, float]:
+        """Mismatch of the pose rates that the deviation changes, without it and with it."""
+        changed = np.abs(self.after.excess - before.excess) > SETTINGS.reported
+        return float(np.sum(before.excess[changed])), float(np.sum(self.after.excess[changed]))
+
+    def explains(self, before: Mismatch) -> bool:
+        """Whether a plausible deviation, well determined, explains most of a mismatch."""
+        certain = np.max(np.abs(self.value) / self.error) > SETTINGS.certain
+        share, left = self.shares(before)
+        return self.plausible and bool(certain) and left < SETTINGS.explains * share
+
     def description(self) -> str:
         """Id and parameters."""
         parts = [
@@ -134,7 +148,7 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
     if "u" in linear and "v" in linear:
-        found.append(Sensor("velocity_misalignment", ("alpha rad",), _misalignment, 0.5))
+        found.append(Sensor("velocity_misalignment", ("alpha rad",), _misalignment, SETTINGS.misaligned))
     arms = {"x_s": "r" in angular or "q" in angular, "y_s": "r" in angular or "p" in angular}
     arms["z_s"] = "p" in angular or "q" in angular
     names = [n for n, seen in arms.items() if seen]
@@ -208,10 +222,13 @@ def fit_sensor(
     """Fit one kind of deviation, with others beside it, to what pose rates and velocities differ by."""
     columns = [regressor_of(kinematics, runs, one) for one in (sensor, *others)]
     regressor, own = np.concatenate(columns, axis=2), columns[0].shape[2]
-    weight = rates.weight
-    table = (regressor * weight[:, :, None]).reshape(-1, regressor.shape[2])
-    target = ((rates.pose - rates.velocity) * weight).ravel()
-    value, error = clustered_least_squares(table, target, SETTINGS.cluster * len(kinematics.rows))
+    # What differs in pose rates that the deviation does not change says nothing of it.
+    used = np.any(regressor != 0.0, axis=(0, 2))
+    used |= not used.any()
+    weight = rates.weight[:, used]
+    table = (regressor[:, used] * weight[:, :, None]).reshape(-1, regressor.shape[2])
+    target = ((rates.pose - rates.velocity)[:, used] * weight).ravel()
+    value, error = clustered_least_squares(table, target, SETTINGS.cluster * int(used.sum()))
     fitted = Rates(rates.pose, rates.velocity + regressor @ value, rates.variance)
     return SensorFit(sensor, value[:own], error[:own], kinematics.mismatch_of(fitted))
 
@@ -464,6 +481,20 @@ def _in_water(current: Array) -> Mistake:
     )
 
 
+# --- a heading from any direction --------------------------------------------------------------
+def heading_offset(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapping) -> Iterator[Mistake]:
+    """A heading off by a constant that is too large for a misaligned sensor, as one zeroed at the start."""
+    horizontal = [i for i, name in enumerate(kinematics.rows) if name in ("x", "y")]
+    if len(horizontal) < 2 or "psi" not in kinematics.channels:
+        return
+    rates = kinematics.rates(runs)
+    pose, velocity = (table[:, horizontal] @ np.array([1.0, 1.0j]) for table in (rates.pose, rates.velocity))
+    angle = float(np.angle(np.vdot(velocity, pose)))
+    beside_quarter = abs(np.angle(np.exp(4j * angle))) / 4
+    if abs(angle) > SETTINGS.misaligned and beside_quarter > SETTINGS.quarter:
+        yield heading_off_by(angle, mapping)
+
+
 # --- what a sensor does -----------------------------------------------------------------------
 def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
     """Deviations of velocity sensors that explain a mismatch, and what no deviation explains."""
@@ -471,14 +502,11 @@ def sensor_findings(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Fin
     known = [s for s in sensors(kinematics) if s.id not in ("water", "sensor_delay", LATE_COURSE)]
     for _ in known:
         before = kinematics.mismatch_of(rates)
-        fits = [f for s in known if (f := fit_sensor(kinematics, runs, rates, s)).plausible]
-        best = min(fits, key=lambda f: f.after.total, default=None)
+        fits = [fit_sensor(kinematics, runs, rates, s) for s in known]
+        best = min((f for f in fits if f.explains(before)), key=lambda f: f.after.total, default=None)
         if best is None or before.total <= SETTINGS.reported:
             break
-        certain = np.max(np.abs(best.value) / best.error) > SETTINGS.certain
-        if not certain or best.after.total >= SETTINGS.explains * before.total:
-            break
-        yield _sensor_finding(best, before, drifts="v" not in kinematics.channels)
+        yield _sensor_finding(best, best.shares(before)[0], drifts="v" not in kinematics.channels)
         change = regressor_of(kinematics, runs, best.sensor) @ best.value
         rates = Rates(rates.pose, rates.velocity + change, rates.variance)
     left = kinematics.mismatch_of(rates)
@@ -529,8 +557,11 @@ def _measures_nothing(kinematics: Kinematics, rates: Rates, block: list[int]) ->
     )
 
 
-def _sensor_finding(fit: SensorFit, before: Mismatch, *, drifts: bool) -> Finding:
-    """`drifts`: the vehicle may go sideways in turns, which nothing measured and its model leaves out."""
+def _sensor_finding(fit: SensorFit, share: float, *, drifts: bool) -> Finding:
+    """What a sensor explains, a mismatch of this share of the motion.
+
+    drifts: the vehicle may go sideways in turns, which nothing measured and its model leaves out.
+    """
     names = (n.split(" ")[0] for n in fit.sensor.names)
     turns = drifts and fit.sensor.id == "velocity_lever_arm"
     drift = "or the vehicle drifts in turns, and has no sway in its file; " if turns else ""
@@ -538,7 +569,7 @@ def _sensor_finding(fit: SensorFit, before: Mismatch, *, drifts: bool) -> Findin
     return Finding(
         id="velocity_sensor",
         severity="warning",
-        text=f"pose rates and velocities disagree by {before.total:.1%} of the motion (mean square), as "
+        text=f"pose rates and velocities disagree by {share:.1%} of the motion (mean square), as "
         f"with {fit.description()}; {drift}undertow add {effects} adds it to the model",
         evidence=dict(zip(names, fit.sensor.parameters(fit.value).tolist(), strict=True)),
     )
