@@ -200,6 +200,23 @@ def test_a_small_offset_of_the_heading_is_that_of_a_sensor_whatever_else_disagre
     assert "undertow add velocity_misalignment or attitude_bias" in sensor.text
 
 
+def test_a_vehicle_that_is_carried_backwards_by_the_water_has_no_axis_reversed() -> None:
+    """Half as fast through the water as the water over ground, it seems to go the other way."""
+    t, vehicle = np.arange(0.0, 120.0, 0.1), load_vehicle("otter")
+    rng = np.random.default_rng(4)
+    north, east, psi = 0.35 + 0.1 * np.sin(0.4 * t), 0.05 * np.sin(0.7 * t), np.sin(0.2 * t)
+    c, d = np.cos(psi), np.sin(psi)
+    water = {"psi": psi, "u": c * north + d * east, "v": c * east - d * north, "r": 0.2 * np.cos(0.2 * t)}
+    motion = {"x": np.cumsum(north - 0.7) * 0.1, "y": np.cumsum(east) * 0.1, **water}
+    channels = {n: data + 1e-3 * rng.standard_normal(len(t)) for n, data in motion.items()}
+    run = Run(
+        "carried", t, channels | {n: np.zeros(len(t)) for n in vehicle.command_names}, mapping=LogMapping()
+    )
+    (mistake,) = examine(vehicle, [run]).result.mistakes
+    assert mistake.id == "velocity_through_water"
+    assert "-0.7 m/s north" in mistake.text
+
+
 # --- mistakes seen in the fit of the model ---------------------------------------------------------------
 COMMANDS = [
     (broken.scaled("f1", by=-1), "reversed_thruster", 'f1 = { channel = "f1", scale = -1.0 }'),

@@ -267,7 +267,10 @@ class _Examiner:
         known = list(reading_mistakes(self.mapping, self.runs))
         known += sensors.heading_offset(kinematics, self.runs, self.mapping)
         found = best_explanation(kinematics, self.runs, known, self.vehicle)
-        found = found or sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
+        water = sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
+        # Against the water that moves with it, a vehicle that hardly moves seems to go the other way.
+        if found is None or (water is not None and water.after.total < found.after.total):
+            found = water
         if found is None:
             return False
         others = [f.description() for f in sensors.as_good_as(found, fits)]
