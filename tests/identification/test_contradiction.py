@@ -46,7 +46,7 @@ class _Tried(NamedTuple):
     def kept(self) -> Kept:
         """Size and gain of the effect beside a force made of what else remains, as shares of those alone."""
         vehicle, train = self.bench.base.model.functions.vehicle, self.bench.train
-        base = self.validator.final(self.bench.base)[0]
+        base = self.validator.final(self.bench.base)
         left = unrelated_to({"u", "v"}, remaining(base, train, train), vehicle)
         effect = effect_of(left, 50.0)
         assert effect.about().startswith("a force that varies with")

@@ -61,7 +61,7 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
     assert added.before.ahead == pytest.approx({h: ahead[h] for h in added.before.ahead}, rel=1e-3)
     for parameter, value in fit.values.items():
         error = fit.standard_errors[parameter]
-        assert setup.validator.final(setup.bench.base)[0].values[parameter] == pytest.approx(value, abs=1e-9)
+        assert setup.validator.final(setup.bench.base).values[parameter] == pytest.approx(value, abs=1e-9)
         assert diagnosed.value_of(parameter).value == pytest.approx(value, abs=0.2 * error)
         # From fitted values time constants, and so the windows, are a little different.
         assert again.values[parameter] == pytest.approx(value, abs=error)

@@ -96,12 +96,11 @@ class ResultBuilder:
         weak = found.steps()
         # The refitted model is that of `fit` and `add`: under the noise model of a better model, the fit of
         # an incomplete one would differ.
-        refined = [validator.final(f) for f in (found.base, *weak[1:])]
-        self.fits = [fit for fit, _ in refined]
-        self.simulated = [squares for _, squares in refined]
+        self.fits = [validator.final(f) for f in (found.base, *weak[1:])]
+        self.simulated = [validator.squares(f) for f in self.fits]
         self.base, final = self.fits[0], self.fits[-1]
         #: The model as given, refitted: `base` where no fixed value was found to be another.
-        self.given = validator.final(found.given)[0]
+        self.given = validator.final(found.given)
         # All models are shown in units of the same noise, that of the sensors alone.
         self._whitening = final.model.whitening(self.bench.test, np.asarray(final.p))
         self._residual_is_noise = validator.residual_is_noise(weak[-1], self.bench.test)
@@ -529,7 +528,7 @@ def _is_worth_adding(
 
     Where sensors are precise, errors of the weak form itself are significant and resemble small effects.
     """
-    before, after = (validator.squares_ahead(validator.final(fit)[0]) for fit in (without, with_it))
+    before, after = (validator.squares_ahead(validator.final(fit)) for fit in (without, with_it))
     gain = gain_of_effects(before, after, [effect], validator)
     return gain.suffices(validator.settings.worth)
 
@@ -571,7 +570,7 @@ def contradiction(
         return ONLY_SIMULATIONS
     if not error_falls(*fits, bench.test):
         return "relative to sensor noise alone, the residual is no smaller"
-    return _is_proxy(effect, validator.final(fits[0])[0], bench, validator)
+    return _is_proxy(effect, validator.final(fits[0]), bench, validator)
 
 
 def _unrelated_to(effect: FoundEffect, left: list[Remaining], vehicle: Vehicle) -> list[Remaining]:

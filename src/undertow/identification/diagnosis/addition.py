@@ -166,7 +166,7 @@ def _fit_with_all_parameters(candidate: Candidate, bench: Bench, start: dict[str
 def _evaluated(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:
     # The final fit of `fit`, from the same start: both commands give the same model.
     weak, fit, with_it = best_predicting(setup, fits)
-    base = setup.validator.final(setup.bench.base)[0]
+    base = setup.validator.final(setup.bench.base)
     without = float(horizon_error([base], setup.test)[0])
     own = tuple(p.name for p in candidate.parameters)
     kept = tuple(n for n in own if n in fit.model.values.names)
@@ -191,7 +191,7 @@ def best_predicting(setup: AdditionSetup, fits: Sequence[WeakFit]) -> tuple[Weak
     make predictions worse if something else is missing as well.
     """
     different = [f for i, f in enumerate(fits) if f.model.free not in [g.model.free for g in fits[:i]]]
-    finals = [setup.validator.final(f)[0] for f in different]
+    finals = [setup.validator.final(f) for f in different]
     errors = [float(horizon_error([f], setup.test)[0]) for f in finals]
     limit = (1.0 + NO_WORSE) * min(errors)
     return next(found for found in zip(different, finals, errors, strict=True) if found[2] <= limit)

@@ -201,7 +201,7 @@ def kept_with(
     vehicle, settings = bench.base.model.functions.vehicle, bench.settings
 
     def final(findings: Sequence[FoundEffect]) -> Fitted:
-        return validator.final(fitted(vehicle, findings, bench).fit)[0]
+        return validator.final(fitted(vehicle, findings, bench).fit)
 
     def gain_of(without: Mapping[float, Array], with_it: Mapping[float, Array]) -> PredictionGain:
         return gain_of_effects(without, with_it, [effect], validator)

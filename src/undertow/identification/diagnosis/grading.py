@@ -206,7 +206,7 @@ class Predictions:
                 self._report(count / total, f"refitted and simulated candidates: {count} of {total}")
 
         self.validator.compute_final_fits(fits, done)
-        return [self.validator.squares_ahead(self.validator.final(f)[0]) for f in fits]
+        return [self.validator.squares_ahead(self.validator.final(f)) for f in fits]
 
 
 class Grading:
@@ -451,14 +451,14 @@ class Grading:
     def _replaces_added_mass(self, finding: FoundEffect) -> str:
         """Which added mass an effect replaces, in words; empty if none."""
         bench, final = self._bench, self._validator.final
-        before, after = (final(f)[0] for f in (bench.base, finding.trial.fit))
+        before, after = (final(f) for f in (bench.base, finding.trial.fit))
         vehicle = bench.base.model.functions.vehicle
         values = vanished_inertia(before, after, vehicle)
         if not values:
             return ""
         known = {n: replace(vehicle.values[n], value=v, estimate=False) for n, v in values.items()}
         fits = (fitted(vehicle.with_values(known), f, bench).fit for f in ([], [finding]))
-        base, with_it = (self._validator.squares_ahead(final(fit)[0]) for fit in fits)
+        base, with_it = (self._validator.squares_ahead(final(fit)) for fit in fits)
         return added_mass_doubt([*values], self._gain([finding], base, with_it), self._settings)
 
     def _unexplained_variables(self, finding: FoundEffect) -> str:

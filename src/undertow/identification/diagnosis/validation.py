@@ -332,10 +332,9 @@ class SimulationValidator:
         """A set of effects fitted by output error, started from the weak form, and scored."""
         return Contender(effect_set, *self.refined(effect_set.fit))
 
-    def final(self, weak: WeakFit) -> tuple[Fitted, Array]:
-        """A model after the final step of `fit`, and how it simulates."""
-        fit = self._cached("final", weak, lambda fit: final_fit(fit, self.train, self.test))
-        return fit, self.squares(fit)
+    def final(self, weak: WeakFit) -> Fitted:
+        """A model after the final step of `fit`."""
+        return self._cached("final", weak, lambda fit: final_fit(fit, self.train, self.test))
 
     def predicting_fit(self, weak: WeakFit) -> Fitted:
         """The fit by which a model was judged: the final one if it predicted, else that of the weak form."""
@@ -349,16 +348,16 @@ class SimulationValidator:
         """
         new = [weak for weak in models if ("final", id(weak)) not in self._cache]
 
-        def work(i: int) -> tuple[dict[str, Any], Array, dict[float | None, _Errors]]:
-            fit, squares = self.final(new[i])
+        def work(i: int) -> tuple[dict[str, Any], dict[float | None, _Errors]]:
+            fit = self.final(new[i])
             own = fields(fit) if isinstance(fit, OutputErrorFit) else ()
             parts = {f.name: getattr(fit, f.name) for f in own if f.name != "model"}
-            return parts, squares, self._errors(fit, self.horizons)
+            return parts, self._errors(fit, self.horizons)
 
-        for i, (parts, squares, ahead) in enumerate(mapped(work, len(new))):
+        for i, (parts, ahead) in enumerate(mapped(work, len(new))):
             fit = OutputErrorFit(new[i].model, **parts) if parts else new[i]
-            for key, of, found in (("final", new[i], fit), ("squares", fit, squares), ("ahead", fit, ahead)):
-                self._cache[key, id(of)] = of, found
+            self._cache["final", id(new[i])] = new[i], fit
+            self._cache["ahead", id(fit)] = fit, ahead
             done(i + 1, len(new))
 
     def refined(self, weak: WeakFit) -> tuple[Fitted, Array]:
