@@ -46,7 +46,7 @@ class Column(_Strict):
     # output that is switched off).
     off: float | None = None
     wrapped: bool | None = (
-        None  # whether to unwrap jumps by a turn (samples across one are dropped); default: psi
+        None  # whether to unwrap jumps by a turn, without samples across one; default: psi
     )
     optional: bool = False  # whether a log may lack this column
     # For the measured position of an actuator (rudder angle, shaft speed), which moves on between samples; a
