@@ -45,9 +45,7 @@ class Column(_Strict):
     # Cell value that means no output: the channel is zero there, whatever the offset (a pulse of 0 us of an
     # output that is switched off).
     off: float | None = None
-    wrapped: bool | None = (
-        None  # whether to unwrap jumps by a turn, without samples across one; default: psi
-    )
+    wrapped: bool | None = None  # whether to unwrap jumps by a turn, without samples across one; default: psi
     optional: bool = False  # whether a log may lack this column
     # For the measured position of an actuator (rudder angle, shaft speed), which moves on between samples; a
     # command is held until the next one.
