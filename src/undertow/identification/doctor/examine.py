@@ -71,7 +71,16 @@ def _rms_in_words(kinematics: Kinematics, found: Explained, runs: Sequence[Run])
     return f"{names} {verb} by {pose:.3g} m/s rms, and the velocities say {velocity:.3g} m/s; "
 
 
-_MOST_MISTAKES = 3
+@dataclass(frozen=True)
+class ExaminationSettings:
+    """How many mistakes are looked for, and which of several that explain the same is supported."""
+
+    most_mistakes: int = 3  # of one kind, found and undone one after another
+    most_equals: int = 4  # mistakes that agree alike, of which the model is asked
+    decisive: float = 2.0  # factor between what it leaves beyond the noise after one and after another
+
+
+SETTINGS = ExaminationSettings()
 # In one motion alone, or for all of them alike, this does the same as a unit.
 _WEAK_THRUSTERS = "thrusters that are weaker or stronger than in the vehicle file (thruster_gain)"
 _MODEL = "a term that the model lacks, or a controller that responds to the motion"
@@ -253,7 +262,7 @@ class _Examiner:
             self._undo(wrapped)
 
     def undo_reading_mistakes(self) -> None:
-        for _ in range(_MOST_MISTAKES):
+        for _ in range(SETTINGS.most_mistakes):
             if not self.kinematics or not self._undo_next(self.kinematics):
                 break
         # Degrees that also jump have no rate that any single mistake would mend.
@@ -287,7 +296,7 @@ class _Examiner:
 
     def undo_impossible(self) -> None:
         """Undo what pose rates and velocities leave open, but no vehicle of this mass and thrust can do."""
-        for _ in range(_MOST_MISTAKES):
+        for _ in range(SETTINGS.most_mistakes):
             found = impossible(self.vehicle, self.runs, self.mapping, self.kinematics)
             if found is None:
                 return
@@ -295,7 +304,7 @@ class _Examiner:
 
     def undo_model_mistakes(self) -> None:
         at: Dynamics | None = None
-        for _ in range(_MOST_MISTAKES):
+        for _ in range(SETTINGS.most_mistakes):
             at = dynamics_of(self.vehicle, self.runs)
             if at is None or not at.unexplained:
                 break
@@ -426,16 +435,11 @@ def _on_one_line(edits: Iterable[Edit]) -> str:
 
 
 # --- mistakes that agree alike --------------------------------------------------------------------
-_MOST_EQUALS = 4
-# Factor between what the model leaves beyond the noise after one and after another that decides.
-_DECISIVE = 2.0
-
-
 def supported_by_model(
     vehicle: Vehicle, runs: Sequence[Run], found: Explained
 ) -> tuple[Mistake, list[Mistake]]:
     """The mistake that the model supports, and those that it does not contradict."""
-    equals = [found.mistake, *found.rivals][:_MOST_EQUALS]
+    equals = [found.mistake, *found.rivals][: SETTINGS.most_equals]
     if len(equals) == 1:
         return found.mistake, []
     left = []  # by the refitted model beyond the noise, geometric mean over its equations of motion
@@ -443,5 +447,5 @@ def supported_by_model(
         at = dynamics_of(vehicle, [mistake.undo(run) for run in runs])
         left.append(np.inf if at is None else np.exp(np.mean(np.log(np.maximum(at.residual, 1.0)))))
     best = min(left)
-    good = [m for m, value in zip(equals, left, strict=True) if not value > _DECISIVE * best]
+    good = [m for m, value in zip(equals, left, strict=True) if not value > SETTINGS.decisive * best]
     return good[0], good[1:]

@@ -30,6 +30,7 @@ from undertow.identification.logs.mapping import (
     velocity_to_earth,
 )
 from undertow.identification.logs.run import (
+    JUMPS,
     Run,
     across_jump,
     far_from_usual,
@@ -175,6 +176,10 @@ class PlausibilitySettings:
     fastest: float = 75.0
     # Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
     turning: float = 1.0
+    small_step: float = 0.5  # change of an angle from sample to sample beside a jump, rad
+    # Pitch ends upright: beyond that, in more than such a share of the samples, it is none, rad.
+    pitch: float = 1.05 * np.pi / 2
+    pitch_share: float = 0.01
     # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
     # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
@@ -495,13 +500,6 @@ KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (
 )
 
 
-_TURN = 2 * np.pi
-_TURN_TOLERANCE = 0.3
-_SMALL_STEP = 0.5
-# Pitch ends upright: a share of the samples beyond that is none; and rad that no vehicle turns in a second.
-_LARGEST_PITCH, _PITCH_SHARE, _LARGEST_TURN = 1.05 * np.pi / 2, 0.01, np.pi
-
-
 def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
     """Angles that jump by a whole turn."""
     for name in ANGLES:
@@ -520,9 +518,9 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
 def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
     """Pitch that is too large, or a heading that turns too fast, to be in radians."""
     pitch = [_present_angles(run, "theta") for run in runs if "theta" in names]
-    tilted = any(len(p) and np.mean(np.abs(p) > _LARGEST_PITCH) > _PITCH_SHARE for p in pitch)
+    tilted = any(len(p) and np.mean(np.abs(p) > PLAUSIBLE.pitch) > PLAUSIBLE.pitch_share for p in pitch)
     turn = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
-    if not tilted and turn < _LARGEST_TURN:
+    if not tilted and turn < JUMPS.fastest:
         return None
     known = [m for m in reading_mistakes(mapping, runs) if m.id == "degrees_for_radians"]
     wanted = {n for n in (ANGLES if tilted else ("psi",)) if runs[0].has(n)}
@@ -561,8 +559,8 @@ def _full_turns(run: Run, name: str) -> int:
     """Steps by a turn between small ones: where those beside them are large, too, it only turns fast."""
     step = np.abs(np.diff(_present_angles(run, name)))
     beside = np.pad(step, 1)
-    alone = np.maximum(beside[:-2], beside[2:]) < 2 * _SMALL_STEP
-    return int(np.sum((np.abs(step - _TURN) < _TURN_TOLERANCE) & alone))
+    alone = np.maximum(beside[:-2], beside[2:]) < 2 * PLAUSIBLE.small_step
+    return int(np.sum((np.abs(step - 2 * np.pi) < JUMPS.tolerance) & alone))
 
 
 def _present_angles(run: Run, name: str) -> Array:
@@ -573,9 +571,9 @@ def _present_angles(run: Run, name: str) -> Array:
 
 def angles_across_jumps(runs: Sequence[Run]) -> Iterator[Finding]:
     """An angle that was interpolated, or averaged, across its jump by a turn."""
-    for run, name in product(runs, ANGLES):
-        logged = run.wrapped.get(name, run.reports(name) if run.has(name) else np.zeros(0))
-        count = int(np.sum(across_jump(run.t[: len(logged)], logged)))
+    logged = ((run, name) for run, name in product(runs, ANGLES) if run.has(name))
+    for run, name in logged:
+        count = int(np.sum(across_jump(run.t, run.wrapped.get(name, run.reports(name)))))
         if not count:
             continue
         left_out = name in run.wrapped

@@ -491,8 +491,13 @@ def heading_offset(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapp
     pose, velocity = (table[:, horizontal] @ np.array([1.0, 1.0j]) for table in (rates.pose, rates.velocity))
     angle = float(np.angle(np.vdot(velocity, pose)))
     beside_quarter = abs(np.angle(np.exp(4j * angle))) / 4
-    if abs(angle) > SETTINGS.misaligned and beside_quarter > SETTINGS.quarter:
-        yield heading_off_by(angle, mapping)
+    if abs(angle) < SETTINGS.misaligned or beside_quarter < SETTINGS.quarter:
+        return
+    # Some angle always suits best: it has to leave nothing that would be reported.
+    mistake = heading_off_by(angle, mapping)
+    after = kinematics.mismatch([mistake.undo(run) for run in runs]).excess
+    if all(after[k] < SETTINGS.unexplained for k, b in enumerate(kinematics.blocks) if {*b} & {*horizontal}):
+        yield mistake
 
 
 # --- what a sensor does -----------------------------------------------------------------------

@@ -159,7 +159,7 @@ class Descent:
             return candidates[0]
         self._set_weights(np.ones(len(self.windows.names)))
         cost = [self._shooting.cost(p, self._shooting.measured_starts(p)) for p in candidates]
-        return candidates[int(np.argmin(np.nan_to_num(cost, nan=np.inf)))]
+        return candidates[int(np.argmin(cost))]
 
     def fit(self, p: Array) -> OutputErrorFit:
         """Minimise and reweight every channel by its residual, until the weights converge.
