@@ -6,7 +6,6 @@ import builtins
 from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -274,6 +273,7 @@ class JumpSettings:
     times_usual: float = 5.0
     usual: float = 0.95
     tolerance: float = 0.3  # rad that the vehicle itself turns meanwhile
+    least: float = np.pi / 2  # of the turn, rad, in steps that are faster than that
 
 
 JUMPS = JumpSettings()
@@ -293,7 +293,10 @@ def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[n
     usual = float(np.quantile(np.abs(rate), JUMPS.usual))
     fast = np.sign(step) * (np.abs(rate) > min(JUMPS.fastest, JUMPS.times_usual * usual))
     begins = np.flatnonzero(np.diff(fast, prepend=0.0))
-    for begin, end in pairwise([*begins, len(step)]):
+    ends = np.append(begins[1:], len(step)).astype(int)
+    whole = np.concatenate([[0.0], np.cumsum(step)])
+    far = np.abs(whole[ends] - whole[begins]) > JUMPS.least  # noise of quick sensors makes many short ones
+    for begin, end in zip(begins[far], ends[far], strict=True):
         around = fast[max(begin - 1, 0) : end + 1]
         if fast[begin] and np.count_nonzero(around) == end - begin:  # else a vehicle that spins
             first, last = _way_across(step, begin, end)
