@@ -128,6 +128,13 @@ def test_a_heading_resampled_across_its_jump_lacks_the_samples_in_between(log, i
     assert run.wrapped["psi"][lost] == pytest.approx(np.radians(psi)[lost])
 
 
+def test_a_vehicle_at_rest_may_turn_nearly_once_around(log):
+    t = np.arange(0.0, 400.0, 0.5)
+    psi = 0.05 + np.clip(0.6 * (t - 300.0), 0.0, 6.15)
+    run = log("t,psi\n" + "".join(f"{a},{b}\n" for a, b in zip(t, psi, strict=True)))
+    np.testing.assert_array_equal(run.channels["psi"], psi)
+
+
 def test_a_heading_of_a_vehicle_that_spins_is_left_as_it_is(log):
     t = np.arange(0.0, 30.0, 0.2)
     rate = np.where(t % 10 < 5, 4.0, 0.0)

@@ -187,16 +187,6 @@ class Predictions:
 
     def __init__(self, validator: SimulationValidator, report: Callable[[float, str], None]) -> None:
         self.validator, self._report = validator, report
-        self._refits: dict[int, tuple[FoundEffect, FoundEffect | None]] = {}
-
-    def refitted(
-        self, finding: FoundEffect, refit: Callable[[FoundEffect], FoundEffect | None]
-    ) -> FoundEffect | None:
-        """What a refit made of a finding, done once: rounds are evaluated again in a second pass."""
-        key = id(finding.trial)
-        if key not in self._refits:
-            self._refits[key] = finding, refit(finding)
-        return self._refits[key][1]
 
     def squares_ahead(self, fits: Sequence[WeakFit]) -> list[dict[float, Array]]:
         """Squares of the predictions of velocities and pose, for each model; on all cores."""
@@ -230,7 +220,6 @@ class Grading:
         self._significant = significant
         self._bench, self._settings = current.bench, current.bench.settings
         self._validator, self._squares_of = predictions.validator, predictions.squares_ahead
-        self._predictions = predictions
         self._found: dict[str, FoundEffect] = {}
         self._squares: dict[str, dict[float, Array]] = {}
         self._before = self._predicted(self._screened())
@@ -300,8 +289,7 @@ class Grading:
         of the parameters that the search keeps and those that a last fit would keep, as of `add`, those with
         which predictions are better.
         """
-        refits = (self._predictions.refitted(f, self._with_last_fit) for f in findings)
-        wider = {w.id: w for w in refits if w is not None}
+        wider = {f.id: w for f in findings if (w := self._with_last_fit(f)) is not None}
         tried = [*findings, *wider.values()]
         before, *squares = self._squares_of([self._bench.base, *(f.trial.fit for f in tried)])
         for finding, after in zip(tried, squares, strict=True):
@@ -316,6 +304,10 @@ class Grading:
 
     def _with_last_fit(self, finding: FoundEffect) -> FoundEffect | None:
         """The finding with the parameters that a last fit would keep; None if these are the same."""
+        # Rounds are evaluated again in a second pass.
+        return self._validator.cached("last fit", finding.trial.fit, lambda _: self._last_fitted(finding))
+
+    def _last_fitted(self, finding: FoundEffect) -> FoundEffect | None:
         trial = finding.trial
         if not {*trial.candidate.removable} - {*trial.fit.model.values.names}:
             return None

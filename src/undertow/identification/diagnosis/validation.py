@@ -239,8 +239,8 @@ class SimulationValidator:
         # A lag can fit commands before the log, since its initial state is free; a dead time cannot.
         return min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
 
-    def _cached(self, key: str, fit: F, work: Callable[[F], T]) -> T:
-        """Cached results for a fit; the fit is kept, since its identity is the key."""
+    def cached(self, key: str, fit: F, work: Callable[[F], T]) -> T:
+        """What some work makes of a fit, done once; the fit is kept, since its identity is the key."""
         entry = key, id(fit)
         if entry not in self._cache:
             self._cache[entry] = fit, work(fit)
@@ -249,7 +249,7 @@ class SimulationValidator:
 
     def squares(self, fit: Fitted) -> Array:
         """Mean square of the simulation error in every window at its best start; inf where it diverges."""
-        return self._cached("squares", fit, self._squares)
+        return self.cached("squares", fit, self._squares)
 
     def _squares(self, fit: Fitted, horizon: float | None = None) -> Array:
         shooting, starts = self._shooting_at_best_starts(fit, horizon or self.settings.short_windows)
@@ -257,7 +257,7 @@ class SimulationValidator:
 
     def _shooting_at_best_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         """A model in the windows of one length, and the best start of each."""
-        return self._cached(f"shooting over {horizon:g} s", fit, lambda fit: self._fit_starts(fit, horizon))
+        return self.cached(f"shooting over {horizon:g} s", fit, lambda fit: self._fit_starts(fit, horizon))
 
     def _fit_starts(self, fit: Fitted, horizon: float) -> tuple[Shooting, Array]:
         shooting = self._shooting(fit, horizon)
@@ -308,7 +308,7 @@ class SimulationValidator:
         self, model: Fitted | Vehicle, lengths: Sequence[float | None]
     ) -> dict[float | None, _Errors]:
         """Predictions over windows of such lengths (None: whole runs), each judged once."""
-        known: dict[float | None, _Errors] = self._cached("ahead", model, lambda _: {})
+        known: dict[float | None, _Errors] = self.cached("ahead", model, lambda _: {})
         if new := [h for h in lengths if h not in known]:
             found = self._predicted(model, [self._prediction_windows[h] for h in new])
             known |= {h: _Errors.of(model, p) for h, p in zip(new, found, strict=True)}
@@ -334,7 +334,7 @@ class SimulationValidator:
 
     def final(self, weak: WeakFit) -> Fitted:
         """A model after the final step of `fit`."""
-        return self._cached("final", weak, lambda fit: final_fit(fit, self.train, self.test))
+        return self.cached("final", weak, lambda fit: final_fit(fit, self.train, self.test))
 
     def predicting_fit(self, weak: WeakFit) -> Fitted:
         """The fit by which a model was judged: the final one if it predicted, else that of the weak form."""
@@ -375,7 +375,7 @@ class SimulationValidator:
 
     def residual_is_noise(self, weak: WeakFit, test: WeakData) -> bool:
         """Whether a model leaves only noise, by its weak-form residual or by simulation."""
-        if self._cached(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
+        if self.cached(f"noise in {id(test)}", weak, lambda fit: only_noise(fit, test, self.settings)):
             return True
         return self.leaves_only_noise(weak)
 
@@ -386,7 +386,7 @@ class SimulationValidator:
         the bias of |v|v of a noisy v if the noise is large. In long windows even a small force shows, and so
         does a small error of a parameter, which may therefore move within its errors.
         """
-        return self._cached("noise", weak, self._leaves_only_noise)
+        return self.cached("noise", weak, self._leaves_only_noise)
 
     def _within_reach(self, weak: WeakFit) -> bool:
         """Whether a fit by output error may bring a model down to the noise: it is expensive, and useless for
@@ -427,7 +427,7 @@ class SimulationValidator:
 
     def _costs(self, weak: WeakFit) -> list[Array]:
         """Sum of squares in units of the noise, in each of the short windows and of the long ones."""
-        return self._cached("costs", weak, self._compute_costs)
+        return self.cached("costs", weak, self._compute_costs)
 
     def _compute_costs(self, weak: WeakFit) -> list[Array]:
         return [
@@ -437,7 +437,7 @@ class SimulationValidator:
 
     def _levels(self, weak: WeakFit) -> list[float]:
         """Mean square in units of the noise, for short and long windows."""
-        return self._cached("levels", weak, self._compute_levels)
+        return self.cached("levels", weak, self._compute_levels)
 
     def _compute_levels(self, weak: WeakFit) -> list[float]:
         used = [self._shooting_at_best_starts(weak, horizon)[0].used for horizon in self._lengths]
@@ -479,7 +479,7 @@ class SimulationValidator:
 
     def _refined(self, weak: WeakFit, horizon: float | None = None) -> Fitted:
         horizon = horizon or self.settings.short_windows
-        return self._cached(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
+        return self.cached(f"{horizon:g} s", weak, lambda fit: self._by_output_error(fit, horizon))
 
     def _by_output_error(self, weak: WeakFit, horizon: float) -> Fitted:
         # Over long windows a fit may end in a local minimum of its own unless it begins close by.

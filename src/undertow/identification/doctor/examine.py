@@ -76,8 +76,9 @@ class ExaminationSettings:
     """How many mistakes are looked for, and which of several that explain the same is supported."""
 
     most_mistakes: int = 3  # of one kind, found and undone one after another
-    most_equals: int = 4  # mistakes that agree alike, of which the model is asked
-    decisive: float = 2.0  # factor between what it leaves beyond the noise after one and after another
+    most_equals: int = 4  # mistakes that explain as much, compared by refitting the model without each
+    # Factor by which what the model leaves beyond the noise has to differ between two of them.
+    decisive: float = 2.0
 
 
 SETTINGS = ExaminationSettings()
@@ -273,8 +274,8 @@ class _Examiner:
     def _undo_next(self, kinematics: Kinematics) -> bool:
         """Undo the mistake that explains most; False where there is none that is certain."""
         fits = sensors.sensor_fits(kinematics, self.runs)
-        known = list(reading_mistakes(self.mapping, self.runs))
-        known += sensors.heading_offset(kinematics, self.runs, self.mapping)
+        offset = sensors.heading_offset(kinematics, self.runs, self.mapping)
+        known = [*reading_mistakes(self.mapping, self.runs), *offset]
         found = best_explanation(kinematics, self.runs, known, self.vehicle)
         water = sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         # Against the water that moves with it, a vehicle that hardly moves seems to go the other way.
@@ -434,7 +435,7 @@ def _on_one_line(edits: Iterable[Edit]) -> str:
     return "; ".join(f"[{table}] {'; '.join(lines)}" for table, lines in tables.items())
 
 
-# --- mistakes that agree alike --------------------------------------------------------------------
+# --- mistakes that explain as much --------------------------------------------------------------------
 def supported_by_model(
     vehicle: Vehicle, runs: Sequence[Run], found: Explained
 ) -> tuple[Mistake, list[Mistake]]:

@@ -493,7 +493,7 @@ def heading_offset(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMapp
     beside_quarter = abs(np.angle(np.exp(4j * angle))) / 4
     if abs(angle) < SETTINGS.misaligned or beside_quarter < SETTINGS.quarter:
         return
-    # Some angle always suits best: it has to leave nothing that would be reported.
+    # Some angle always fits best: what it leaves must be too small to be reported.
     mistake = heading_off_by(angle, mapping)
     after = kinematics.mismatch([mistake.undo(run) for run in runs]).excess
     if all(after[k] < SETTINGS.unexplained for k, b in enumerate(kinematics.blocks) if {*b} & {*horizontal}):

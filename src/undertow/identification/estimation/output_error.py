@@ -445,7 +445,8 @@ def _stated_starts(model: WeakModel, values: Mapping[str, float]) -> list[dict[s
     stated = {n: vehicle.value_of(base_name(n)).value for n in linear}
     stated = {n: value for n, value in stated.items() if np.isfinite(value)}
     nonzero = {n: value for n, value in stated.items() if value}
-    return [dict(values) | nonzero, dict(values) | stated]
+    different = [nonzero] if nonzero == stated else [nonzero, stated]
+    return [dict(values) | coefficients for coefficients in different]
 
 
 def final_fit(
@@ -459,9 +460,9 @@ def final_fit(
     """The fit that every command ends with: the weak form, then output error over the vehicle's own horizons.
 
     Windows are a quarter of the slowest time constant at first (see `horizons`): a fit over long windows
-    alone, started far away, ends in a local minimum. This first one begins at the stated values instead if
-    simulations with these are closer to the logs. Where the residual is close to noise, one time constant
-    follows, then the longest ones, and whole gap-free segments if their residual is also close to noise:
+    alone, started far away, ends in a local minimum. Each fit begins where the one before it ended, or at the
+    stated values if simulations with these are closer to the logs. Where the residual is close to noise, one
+    time constant follows, then the longest ones, and whole gap-free segments if theirs is close to it, too:
     estimated starts cost information about the parameters (standard errors over windows of a time constant
     are ten times those over a run of a minute). Otherwise free starts absorb model errors, and a pose
     accumulates all earlier errors; velocities are then predicted from measured starts, the error by which

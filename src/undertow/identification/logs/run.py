@@ -269,7 +269,7 @@ class JumpSettings:
     """When an angle was interpolated or averaged across its jump by a turn."""
 
     fastest: float = np.pi  # rate that no vehicle turns at, rad/s
-    # The same relative to the rate below which this vehicle turns in such a share of the samples.
+    # The same relative to the rate below which this vehicle is in such a share of the samples where it turns.
     times_usual: float = 5.0
     usual: float = 0.95
     tolerance: float = 0.3  # rad that the vehicle itself turns meanwhile
@@ -287,10 +287,10 @@ def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[n
     found = np.zeros(len(angle), dtype=bool)
     there = np.flatnonzero(np.isfinite(angle))
     step = np.diff(angle[there])
-    if not len(step):
+    if not np.any(step):
         return found
     rate = step / np.diff(t[there])
-    usual = float(np.quantile(np.abs(rate), JUMPS.usual))
+    usual = float(np.quantile(np.abs(rate[rate != 0.0]), JUMPS.usual))
     fast = np.sign(step) * (np.abs(rate) > min(JUMPS.fastest, JUMPS.times_usual * usual))
     begins = np.flatnonzero(np.diff(fast, prepend=0.0))
     ends = np.append(begins[1:], len(step)).astype(int)
