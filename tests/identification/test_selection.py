@@ -429,7 +429,7 @@ def test_an_effect_whose_force_is_not_significant_may_improve_predictions_but_is
     found = Grading(current, [], predictions).best()
     assert found is not None
     assert found.doubt == ""
-    assert Grading(current, [], predictions, significant=False).best() is None  # each is asked once
+    assert Grading(current, [], predictions, significant=False).best() is None  # each is tried once
     hidden = replace(current, findings=[replace(f, p_value=0.5) for f in current.findings])
     assert Grading(hidden, [], predictions).best() is None
     weak = Grading(hidden, [], predictions, significant=False).best()
