@@ -276,6 +276,19 @@ def test_speeds_along_the_body_come_before_those_along_the_earth() -> None:
     assert "velocity" not in found.axes.entry
 
 
+def test_of_two_velocities_the_one_named_like_the_channel_is_read(tmp_path: Path) -> None:
+    velocity = {"vel_x": np.full(50, 0.2), "u": np.full(50, 0.1)}
+    table = pl.DataFrame({"t": np.arange(50) / 10, **{n: v + np.arange(50) for n, v in velocity.items()}})
+    assert _from_table(tmp_path, CATAMARAN + PAIR, table)[0]["u"].column == "u"
+
+
+def test_topics_below_each_other_have_one_clock(tmp_path: Path) -> None:
+    t, nothing = np.arange(50) / 10, np.full(50, np.nan)
+    topics = [pl.DataFrame({"t": t, "u": t, "r": nothing}), pl.DataFrame({"t": t, "u": nothing, "r": t})]
+    guessed = _from_table(tmp_path, CATAMARAN + PAIR, pl.concat(topics).sort("t"))[1]
+    assert guessed.time.entry == {"column": "t", "unit": "s"}
+
+
 def test_a_last_letter_beside_another_direction_is_a_direction_and_not_a_unit() -> None:
     found = _guessed(gps_n=5.0, gps_e=4.0, dvl_u=0.4, dvl_v=0.3, force_n=3.0, bus_v=24.0)
     channels = {g.column: g.channel for g in found.columns}
@@ -380,7 +393,7 @@ def test_a_heading_in_degrees_that_turns_by_six_of_them_a_row_is_not_in_radians(
 def test_a_clock_with_few_repeats_and_without_its_last_time_is_a_clock() -> None:
     t = np.arange(0.0, 100.0, 0.1)
     t[500], t[-1] = t[499], np.nan
-    found = guess_table(pl.DataFrame({"Timestamp(s)": t, "u": np.sin(t)}), Path("own.csv"))
+    found = guess_table(pl.DataFrame({"Timestamp(s)": t, "u": np.arange(1000.0)}), Path("own.csv"))
     assert found.time.entry == {"column": "Timestamp(s)", "unit": "s", "disorder": "drop"}
     assert found.time.doubt == "0.10% of the rows are not later than an earlier one: leave them out?"
 

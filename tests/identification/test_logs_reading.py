@@ -265,6 +265,23 @@ def test_a_command_may_be_made_of_two_clocks(log):
     refused(log, text, "channel 'psi', rev and angle, have no row in common", mapping=apart)
 
 
+def test_rows_of_one_time_that_complement_each_other_are_one_row(log, tmp_path):
+    """Topics below each other; rows that repeat each other are one, those that contradict are refused."""
+    text = "t,u,r\n" + "".join(f"{k / 10:.1f},{k},\n{k / 10:.1f},,{k / 100}\n" for k in range(9))
+    run = log(text + "0.9,9,\n0.9,9,\n")
+    np.testing.assert_allclose(run.t, np.arange(10) / 10)
+    np.testing.assert_array_equal(run.channels["u"], np.arange(10.0))
+    np.testing.assert_allclose(run.channels["r"][:9], np.arange(9) / 100)
+    assert "10 rows joined with the one before, of the same time" in run.notes
+    assert run.dropped == 0
+    path = tmp_path / "run.csv"
+    parts = [part.run for part in LongLog(path, LogMapping(), ()).parts(5, 0)]
+    for channel in "ur":
+        joined = np.concatenate([part.channels[channel] for part in parts])
+        np.testing.assert_array_equal(joined, run.channels[channel])
+    refused(log, text + "0.8,7,\n", "has 2 duplicate stamps, first 0.8 s")
+
+
 def test_a_constant_channel_is_noted_and_refused_on_demand(log):
     run = log("t,u,v\n0,1,0.5\n1,2,0.5\n2,3,\n")
     assert "constant channels (unused, or a dead sensor): v = 0.5" in run.notes

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -34,6 +34,7 @@ from .table import (
     header_of,
     is_gzip,
     is_parquet,
+    joined_rows,
     parquet_size,
     read_rows,
     read_table,
@@ -102,8 +103,9 @@ class LongLog:
         low, high = (w if w is not None else e * np.inf for w, e in zip(self.window, (-1, 1), strict=True))
         latest = -np.inf
         tables, every = self._all_rows(rows, overlap), self.mapping.time.every
-        if every > 1:
-            tables = _overlapping(decimated(self._all_rows(rows, 0), every), rows, overlap)
+        if every > 1 or not overlap:
+            joined = _joined(self._all_rows(rows, 0), self.mapping.time.columns)
+            tables = _overlapping(decimated(joined, every), rows, overlap) if every > 1 else joined
         for table in tables:
             if origin is None:
                 origin = self._origin(table)
@@ -311,6 +313,29 @@ def _numbered(whole: LongLog, parts: Sequence[pl.LazyFrame]) -> list[LongLog]:
     if len(parts) == 1:
         return [replace(whole, table=parts[0])]
     return [replace(whole, table=part, stretch=k) for k, part in enumerate(parts, 1)]
+
+
+def _joined(tables: Iterable[pl.DataFrame], clock: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Consecutive tables, with the rows of one time as one (`joined_rows`), also across their borders."""
+    last: pl.DataFrame | None = None
+    for part in tables:
+        count = 0 if last is None else _rows_at_end_of(last, part, clock)
+        if last is not None:
+            last = pl.concat([last, part.head(count)])
+            if count == part.height:
+                continue
+            yield joined_rows(last, clock)
+        last = part.slice(count)
+    if last is not None:
+        yield joined_rows(last, clock)
+
+
+def _rows_at_end_of(table: pl.DataFrame, after: pl.DataFrame, clock: Sequence[str]) -> int:
+    """How many rows at the beginning of the next table have the time of the last one of this."""
+    if not {*clock} <= {*table.columns} or not table.height:
+        return 0
+    end = table.select(clock).row(-1)
+    return sum(1 for _ in takewhile(end.__eq__, after.select(clock).iter_rows()))
 
 
 def _overlapping(tables: Iterable[pl.DataFrame], rows: int, overlap: int) -> Iterator[pl.DataFrame]:

@@ -36,6 +36,7 @@ from .guess_names import (
     RATES,
     WANTED,
     Name,
+    is_clock,
     is_force,
     known_unit,
     latitude_and_longitude,
@@ -46,7 +47,7 @@ from .guess_names import (
 )
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
-from .table import file_bytes, is_dates, numbers, read_table, texts_in, unit_of_cells
+from .table import file_bytes, is_dates, joined_rows, numbers, read_table, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def guess_table(
     those that look like a command keep their names. `reading` is the format of the text of the table, `clock`
     its time where that is known.
     """
-    reading = reading or LogMapping()
+    reading, table = reading or LogMapping(), table if clock else _with_one_row_per_time(table)
     data = {
         name: column for name in table.columns if (column := numbers_of(table, name, reading)) is not None
     }
@@ -150,6 +151,15 @@ def guess_table(
         reading,
         (*questions, *gaps),
     )
+
+
+def _with_one_row_per_time(table: pl.DataFrame) -> pl.DataFrame:
+    """The table as it is read by a clock whose rows of one time complement each other; itself without one."""
+    for name in filter(is_clock, table.columns):
+        joined = joined_rows(table, [name])
+        if joined.height < table.height and not (joined[name] == joined[name].shift()).any():
+            return joined
+    return table
 
 
 def _channels(vehicle: Vehicle, axes: Axes) -> set[str]:

@@ -173,12 +173,13 @@ class Name:
         return cls(column, tuple(words), next((m[1] for m in counted if m), ""))
 
     @property
-    def rank(self) -> tuple[int, int]:
-        """Distance of the name from that of a measurement; the smallest is chosen."""
+    def rank(self) -> tuple[int, int, bool]:
+        """Distance of the name from that of a measurement; the smallest is chosen, and of equals "u"."""
         motions = {*_PLACES, *_TURNS, *_MOVES, *_OF_SPEED, *_OF_RATE, *_EARTH_SPEEDS, *_SIDEWAYS}
         known = {*motions, *_RANK, *_PLAIN}
         least = 2 if self.is_height else 1  # a depth is what the vehicle feels
-        return max((_RANK.get(w, least) for w in self.words), default=least), len(set(self.words) - known)
+        direct = max((_RANK.get(w, least) for w in self.words), default=least)
+        return direct, len(set(self.words) - known), self.column not in {*POSE, *VELOCITY}
 
     @property
     def stem(self) -> tuple[str, ...]:

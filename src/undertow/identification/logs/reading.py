@@ -25,6 +25,7 @@ from undertow.identification.logs.table import (
     LogLimits,
     Origin,
     in_unit_of_cells,
+    joined_rows,
     numbers,
     taken_as_missing,
 )
@@ -260,7 +261,9 @@ def run_of_table(
     values of commands before the rows, which may then lack all values of a channel.
     """
     where, frames = f"log {path}", mapping.frames
-    (table,) = decimated([table], mapping.time.every)
+    joined = joined_rows(table, mapping.time.columns)
+    same = table.height - joined.height
+    (table,) = decimated([joined], mapping.time.every)
     there = {c.channel for n, c in mapping.columns.items() if n in table.columns}
     there.update(mapping.channels, table.columns)
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
@@ -270,7 +273,8 @@ def run_of_table(
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     lost = taken_as_missing(table, sources, mapping)
     table, t, notes = _time(table, mapping, where, origin)
-    notes = [*notes, *lost]
+    notes += [f"{same} rows joined with the one before, of the same time"] if same else []
+    notes += lost
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused by its name, below
         begins = not before
         read = {

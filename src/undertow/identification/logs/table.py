@@ -15,7 +15,7 @@ import sys
 import threading
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from os import SEEK_END
@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
+import polars.selectors as cs
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
@@ -296,6 +297,26 @@ def read_table(
 def read_rows(table: pl.LazyFrame, first: int, count: int, where: str) -> pl.DataFrame:
     """Some rows of a Parquet file; no more of it is held in memory than the row groups they are in."""
     return _tidy(lambda: table.slice(first, count).collect(), where)
+
+
+def joined_rows(table: pl.DataFrame, clock: Sequence[str]) -> pl.DataFrame:
+    """A table whose consecutive rows of one time are one row, where no column has two values in them.
+
+    Tables made of several topics often have one row for each message.
+    """
+    flat = [n for n, kind in table.schema.items() if not kind.is_nested()]
+    others = [n for n in flat if n not in clock]
+    if not others or not {*clock} <= {*flat}:
+        return table
+    same = pl.all_horizontal(pl.col(n) == pl.col(n).shift() for n in clock).fill_null(value=False)
+    if not table.select(same.any()).item():
+        return table
+    values = pl.col(others).drop_nulls()
+    blank = table.with_columns(cs.float().fill_nan(None)).with_columns((~same).cum_sum().alias(_ROW))
+    several = pl.max_horizontal(values.n_unique().over(_ROW)) > 1
+    group = (~same | blank.select(several).to_series()).cum_sum().alias(_ROW)
+    found = blank.with_columns(group).group_by(_ROW, maintain_order=True)
+    return found.agg(pl.exclude(others).first(), values.first()).select(table.columns)
 
 
 def with_even_times(table: Frame, mapping: LogMapping, first: int = 0) -> Frame:
