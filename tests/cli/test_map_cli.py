@@ -282,6 +282,15 @@ def test_of_two_velocities_the_one_named_like_the_channel_is_read(tmp_path: Path
     assert _from_table(tmp_path, CATAMARAN + PAIR, table)[0]["u"].column == "u"
 
 
+def test_pulses_are_not_scaled_for_a_curve_of_pulses(tmp_path: Path) -> None:
+    (tmp_path / "t200.csv").write_text("1100,-40\n1500,0\n1900,50\n")
+    curve = PAIR.replace("[[thrusters]]\n", '[[thrusters]]\ncurve = "t200.csv"\n')
+    pulses = {"port": 1500 + 300 * np.sin(np.arange(50)), "starboard": np.full(50, 1500.0)}
+    guesses, _ = _from_table(tmp_path, CATAMARAN + curve, pl.DataFrame({"t": np.arange(50) / 10, **pulses}))
+    assert guesses["port"].entry == {"channel": "port"}
+    assert guesses["port"].doubt == "from 1200 to 1800, as its curve from 1100 to 1900?"
+
+
 def test_topics_below_each_other_have_one_clock(tmp_path: Path) -> None:
     t, nothing = np.arange(50) / 10, np.full(50, np.nan)
     topics = [pl.DataFrame({"t": t, "u": t, "r": nothing}), pl.DataFrame({"t": t, "u": nothing, "r": t})]

@@ -166,6 +166,14 @@ def test_azimuth_thrusters_push_sideways_and_turn() -> None:
     assert run(ferry, {"bow_x": 100.0, "stern_x": 100.0}, 20.0)["u"] > 0.3
 
 
+def test_of_roll_and_pitch_alone_the_righting_moment_remains() -> None:
+    """Buoyancy moves nothing there, and is not to be estimated: the moment has to be given with it."""
+    assert main([*words("rov6"), "--dof", "roll,pitch,yaw", "--out", "my.toml"]) == 0
+    vehicle = load_vehicle("my.toml")
+    assert vehicle.value_of("S_z").value > 0.0
+    assert not vehicle.value_of("B").estimate
+
+
 @pytest.mark.parametrize(("kind", "dof"), [("asv", "surge,yaw"), ("torpedo", "surge,yaw"), ("rov6", "heave")])
 def test_what_is_to_be_estimated_is_of_the_motions_that_are_asked_for(kind: str, dof: str) -> None:
     """No log of a vehicle without sway determines its damping in sway."""

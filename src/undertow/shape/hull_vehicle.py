@@ -328,8 +328,20 @@ def _of_its_motions(tables: Sequence[EffectTable], text: str) -> list[EffectTabl
         vehicle = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
     except ValidationError as error:
         raise UndertowError(f"no vehicle file can be made from it: {error.errors()[0]['msg']}") from error
-    foreign = {n for n, v in vehicle.values.items() if v.estimate} - {*vehicle.parameter_names}
-    left = [replace(t, entries=[e for e in t.entries if e.split(" ")[0] not in foreign]) for t in tables]
+    used = {*vehicle.parameter_names}
+    foreign = {n for n, v in vehicle.values.items() if v.estimate} - used
+    # Of roll and pitch alone, the righting moment remains, which has to be given with the buoyancy.
+    acting = [e for e in vehicle.effects if used & {p.name for p in e.parameters}]
+    needed = foreign & {p.name for e in acting for p in e.parameters if p.must_be_given}
+
+    def kept(entry: str) -> Iterator[str]:
+        name = entry.split(" ")[0]
+        if name in needed:
+            yield entry.replace("estimate = true, ", "")
+        elif name not in foreign:
+            yield entry
+
+    left = [replace(t, entries=[e for entry in t.entries for e in kept(entry)]) for t in tables]
     return [new for new, old in zip(left, tables, strict=True) if new.entries or not old.entries]
 
 

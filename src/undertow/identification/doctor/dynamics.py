@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -23,7 +23,7 @@ from undertow.identification.estimation.weak_form import (
     with_reestimated_noise,
 )
 from undertow.identification.findings import Examination, Finding
-from undertow.identification.logs.mapping import Edits, LogMapping, column_edit
+from undertow.identification.logs.mapping import Edit, LogMapping, column_edit, column_of
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect
 from undertow.model.symbols import POSE, VELOCITY
@@ -371,18 +371,21 @@ def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     for clause, (scale, offset, least, most) in units.items():
         nothing = offset == 0.0 and all(top * scale == 1.0 for top in limits.values())
         if least <= largest <= most and not nothing:
-            yield _in_unit(clause, limits, scale, offset)
+            scales = {n: (top * scale, top * offset) for n, top in limits.items()}
+            yield in_other_unit(f"commands {', '.join(limits)} are {clause}", scales)
 
 
-def _in_unit(clause: str, limits: dict[str, float], scale: float, offset: float) -> Mistake:
+def in_other_unit(clause: str, scales: Mapping[str, tuple[float, float]]) -> Mistake:
+    """Commands that have to be multiplied by a scale, to which an offset is added."""
+
     def undo(run: Run) -> Run:
-        return with_channels(run, {n: top * (scale * run.channels[n] + offset) for n, top in limits.items()})
+        return with_channels(run, {n: scale * run.channels[n] + add for n, (scale, add) in scales.items()})
 
-    def edits(mapping: LogMapping) -> Edits:
-        changes = {n: {"scale": top * scale, "offset": top * offset} for n, top in limits.items()}
-        return tuple(column_edit(mapping, n, **change) for n, change in changes.items())
+    def edit(mapping: LogMapping, name: str) -> Edit:
+        (scale, add), (_, read) = scales[name], column_of(mapping, name)
+        return column_edit(mapping, name, scale=scale * read.scale, offset=scale * read.offset + add)
 
-    return Mistake("command_unit", f"commands {', '.join(limits)} are {clause}", undo, edits)
+    return Mistake("command_unit", clause, undo, lambda mapping: tuple(edit(mapping, n) for n in scales))
 
 
 def decisive_mistake(at: Dynamics, known: Sequence[Mistake]) -> Explanation | None:
