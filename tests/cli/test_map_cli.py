@@ -606,6 +606,8 @@ def test_a_wrench_is_read_or_asked_about(tmp_path: Path) -> None:
     assert [guesses[f].entry["unit"] for f in FORCES] == ["N"] * 3 + ["N m"] * 3
     assert [guesses[n].column for n in ("phi", "theta", "psi")] == [*turned]
     assert "less than the earth's rotation" in guesses["r"].doubt
+    lettered = {f"wrench.{kind}{axis}": 5.0 for kind in "ft" for axis in "xyz"}
+    assert [_guesses(tmp_path, known, **lettered)[0][f].column for f in FORCES] == [*lettered]
     thruster = '[[thrusters]]\nname = "bow"\nwrench = [1, 0, 0, 0, 0, 0]\n'
     _, found = _guesses(tmp_path, ROV + thruster, **columns)
     assert any("a thruster with a wrench for each" in q for q in found.questions)

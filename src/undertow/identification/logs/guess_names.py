@@ -84,6 +84,8 @@ _ABOUT_ELSE = {
 _MOMENT = {"torque", "moment"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
+# Forces and moments in one word, beside one for a wrench: "wrench.fx", "tau_mz".
+_LETTERED = {f"{kind}{axis}": 3 * (kind != "f") + i for kind in "fmt" for axis, i in _AXES.items()}
 # Other words for those of a command, the likeliest first.
 _ALSO = {
     "rudder": ("delta", "rud"),
@@ -317,11 +319,12 @@ class Name:
         exact = next((f for f in FORCES if f.lower() == self.column.lower()), "")
         if exact:
             return exact
-        if words & _WHOLE_FORCE and not words & _ABOUT_ELSE:
-            axis = next((_AXES[w] for w in self.words if w in _AXES), None)
-            kind = 3 if words & _MOMENT else 0
-            return "" if axis is None else FORCES[kind + axis]
-        return ""
+        if not words & {"tau", *_WHOLE_FORCE} or words & _ABOUT_ELSE:
+            return ""
+        kind = 3 if words & _MOMENT else 0
+        named = [_LETTERED[w] for w in self.words if w in _LETTERED]
+        named += [kind + _AXES[w] for w in self.words if w in _AXES and words & _WHOLE_FORCE]
+        return FORCES[named[0]] if named else ""
 
     def drives(self, command: str, axes: Mapping[str, str]) -> float:
         """Distance of a name from that of a command: 0 the same name, 1 the same words, more for others.
