@@ -282,13 +282,13 @@ def test_of_two_velocities_the_one_named_like_the_channel_is_read(tmp_path: Path
     assert _from_table(tmp_path, CATAMARAN + PAIR, table)[0]["u"].column == "u"
 
 
-def test_pulses_are_not_scaled_for_a_curve_of_pulses(tmp_path: Path) -> None:
-    (tmp_path / "t200.csv").write_text("1100,-40\n1500,0\n1900,50\n")
-    curve = PAIR.replace("[[thrusters]]\n", '[[thrusters]]\ncurve = "t200.csv"\n')
-    pulses = {"port": 1500 + 300 * np.sin(np.arange(50)), "starboard": np.full(50, 1500.0)}
-    guesses, _ = _from_table(tmp_path, CATAMARAN + curve, pl.DataFrame({"t": np.arange(50) / 10, **pulses}))
-    assert guesses["port"].entry == {"channel": "port"}
-    assert guesses["port"].doubt == "from 1200 to 1800, as its curve from 1100 to 1900?"
+def test_commands_are_counted_from_rest_as_the_curve_of_their_thruster_says(tmp_path: Path) -> None:
+    (tmp_path / "own.csv").write_text("0,-40\n100,0\n200,50\n")
+    curve = PAIR.replace("[[thrusters]]\n", '[[thrusters]]\ncurve = "own.csv"\n')
+    shares = {"port": 100 + 50 * np.sin(np.arange(50)), "starboard": np.full(50, 100.0)}
+    guesses, _ = _from_table(tmp_path, CATAMARAN + curve, pl.DataFrame({"t": np.arange(50) / 10, **shares}))
+    assert guesses["port"].entry == {"channel": "port", "scale": 0.01, "offset": -1.0}
+    assert guesses["port"].doubt == "from 50 to 150, read as -1 ... 1 about 100, as its curve: is that right?"
 
 
 def test_topics_below_each_other_have_one_clock(tmp_path: Path) -> None:

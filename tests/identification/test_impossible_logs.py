@@ -222,31 +222,19 @@ def test_one_bad_log_among_good_ones_is_named() -> None:
     assert mistake.text.startswith("second, but not all of the logs: u, v are in mm/s")
 
 
-def _with_pulses(vehicle: Vehicle) -> Vehicle:
-    """The vehicle with thrusters whose curve goes over pulse widths, in us."""
-    curve = Curve.through([(1100.0, -40.0), (1500.0, 0.0), (1900.0, 40.0)])
-    return replace(vehicle, thrusters=tuple(replace(t, law=curve, limit=None) for t in vehicle.thrusters))
-
-
-def test_commands_outside_of_a_curve_that_does_not_hold_zero_are_in_another_unit() -> None:
-    vehicle = _with_pulses(_vehicle("usv"))
-    run = _log("usv", _commands("usv", 1 / 40))
+def test_commands_as_the_curve_of_a_thruster_counts_them_are_not_those_from_rest() -> None:
+    curve = Curve.through([(-1.0, -40.0), (0.0, 0.0), (1.0, 40.0)])
+    ship = _vehicle("usv")
+    pulses = [replace(t, law=curve, limit=None, counted=(1500.0, 400.0)) for t in ship.thrusters]
+    vehicle, run = replace(ship, thrusters=tuple(pulses)), _log("usv", _commands("usv", 10.0, 1500.0))
     message = _refusal(vehicle, run)
-    assert "f1, f2, f3 are a share of full pulses (-1 to 1)" in message
-    assert 'f1 = { channel = "f1", scale = 400.0, offset = 1500.0 }' in message
-    # Read as -1 ... 1 by the mapping file, the pulses of the log are those of the curve.
-    read = {n: {"channel": n, "scale": 0.0025, "offset": -3.75} for n in vehicle.command_names}
-    message = _refusal(vehicle, replace(run, mapping=LogMapping.model_validate({"columns": read})))
-    assert 'f1 = { channel = "f1" }' in message
-
-
-def test_a_command_of_zero_outside_of_a_curve_is_said() -> None:
-    vehicle, run = _with_pulses(_vehicle("usv")), _log("usv", _commands("usv", 10.0, 1500.0))
-    assert "off_curve" not in {f.id for f in examine(vehicle, [run]).result.findings}
-    off = np.where(np.arange(len(run.t)) % 5 == 0, 0.0, run.channels["f1"])
-    found = examine(vehicle, [replace(run, channels={**run.channels, "f1": off})]).result.findings
-    (text,) = (f.text for f in found if f.id == "off_curve")
-    assert "f1 in 20 % of the samples, its curve goes from 1100 to 1900" in text
+    assert "commands f1, f2, f3 are not counted from rest" in message
+    assert 'f1 = { channel = "f1", scale = 0.0025, offset = -3.75 }' in message
+    # With that line, and what it makes of an output that is switched off.
+    shares = {n: (run.channels[n] - 1500.0) / 400.0 for n in vehicle.command_names}
+    shares["f1"] = np.where(np.arange(len(run.t)) % 5 == 0, -3.75, shares["f1"])
+    found = examine(vehicle, [replace(run, channels={**run.channels, **shares})]).result.findings
+    assert not any("counted from rest" in f.text for f in found)
 
 
 def test_the_line_mends_a_mapping_that_is_itself_the_mistake(tmp_path: Path) -> None:

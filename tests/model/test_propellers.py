@@ -170,10 +170,10 @@ def test_a_curve_beside_the_vehicle_file_is_in_the_model_and_its_slopes(tmp_path
     curve = Curve.through(T200)
     f = Functions(vehicle)
     for pulse in (1150.0, 1500.0, 1650.0, 1900.0):
-        x_dot, _, slope, _ = f.jacobians(np.zeros(6), [pulse], f.values(), 0.0)
+        x_dot, _, slope, _ = f.jacobians(np.zeros(6), [(pulse - 1500.0) / 400.0], f.values(), 0.0)
         assert float(x_dot[3]) * 100 == pytest.approx(curve.at(pulse), abs=0.15)
         rise = (curve.at(pulse + 0.01) - curve.at(pulse - 0.01)) / 0.02
-        assert float(slope[3]) * 100 == pytest.approx(rise, abs=0.03) or pulse == 1900.0
+        assert float(slope[3]) / 400 * 100 == pytest.approx(rise, abs=0.03) or pulse == 1900.0
     (tmp_path / "other").mkdir()
     save_vehicle(vehicle, tmp_path / "craft.toml", tmp_path / "other" / "out.toml")
     assert load_vehicle(tmp_path / "other" / "out.toml").laws == vehicle.laws
@@ -194,7 +194,33 @@ def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
     (curve,) = _load(tmp_path, 'curve = "t200.csv"\n').laws
     assert isinstance(curve, Curve)
     assert len(curve.pieces) < 30
-    assert max(abs(curve.at(p) - f) for p, f in zip(pulses, table, strict=True)) < 0.003 * 91.5 + 1e-6
+    off = max(abs(curve.at((p - 1500.0) / 400.0) - f) for p, f in zip(pulses, table, strict=True))
+    assert off < 0.003 * 91.5 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("points", "counted"),
+    [
+        (T200, (1500.0, 400.0)),
+        ([(1000, -50.0), (1400, -2.0), (1490, 0.0), (1505, 0.0), (2000, 60.0)], (1500.0, 400.0)),
+        ([(0, -30.0), (100, 0.0), (200, 40.0)], (100.0, 100.0)),
+        ([(1000, 0.0), (1100, 0.0), (1900, 50.0)], (1000.0, 900.0)),
+        ([(0.5, -8.0), (2.0, -1.0), (3.0, 1.0), (4.5, 9.0)], (2.5, 2.0)),
+        ([(-100, -30.0), (-5, 0.0), (5, 0.0), (100, 40.0)], None),
+        ([(0, 0.0), (10, 40.0)], None),
+    ],
+    ids=["us", "to 2000 us", "0 to 200", "one way", "volts", "percent", "from zero"],
+)
+def test_a_command_of_zero_is_rest_however_the_curve_counts(
+    tmp_path: Path, points: list[tuple[float, float]], counted: tuple[float, float] | None
+) -> None:
+    (tmp_path / "own.csv").write_text("\n".join(f"{c},{f}" for c, f in points))
+    vehicle = _load(tmp_path, 'curve = "own.csv"\n')
+    (thruster,), (rest, way) = vehicle.thrusters, counted or (0.0, 1.0)
+    assert thruster.counted == (counted and pytest.approx(counted))
+    assert _thrust(vehicle, 0.0)[0] == pytest.approx(0.0, abs=1e-9)
+    for command, force in points:
+        assert _thrust(vehicle, (command - rest) / way)[0] == pytest.approx(force, abs=0.15)
 
 
 @pytest.mark.parametrize(

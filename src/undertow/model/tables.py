@@ -236,11 +236,11 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
         position, wrench = (x, y, z), _wrench_at(place, (x, y, z), table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
-    law, unit = _thrust_law(place, table, folder)
+    law, unit, counted = _thrust_law(place, table, folder)
     limit = _limit(place, table.limit)
     lowest = _lowest_command(place, table.lowest, limit)
     push = _thrust_per_command(place, table)
-    return Thruster(table.name, wrench, push, limit, lowest, law, unit, position)
+    return Thruster(table.name, wrench, push, limit, lowest, law, unit, position, counted)
 
 
 # Revolutions per second of one unit of the speed of a propeller, by name.
@@ -248,8 +248,10 @@ TURNS = {"rad/s": 1 / (2 * math.pi), "rev/s": 1.0, "rpm": 1 / 60}
 PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
 
 
-def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, str]:
-    """How the command becomes thrust, and the command's unit."""
+def _thrust_law(
+    place: str, table: ThrusterTable, folder: Path
+) -> tuple[Law, str, tuple[float, float] | None]:
+    """How the command becomes thrust, the command's unit, and how the file counts it (see `Thruster`)."""
     stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
     if "propeller" in stated and len(stated) > 1:
         raise UndertowError(
@@ -257,17 +259,22 @@ def _thrust_law(place: str, table: ThrusterTable, folder: Path) -> tuple[Law, st
         )
     if table.propeller is not None:
         unit = table.propeller.revolutions
-        return Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]), unit
+        return (
+            Propeller(positive(f"{place} diameter", table.propeller.diameter, "m"), TURNS[unit]),
+            unit,
+            None,
+        )
     if isinstance(table.curve, str):
         ours = bundled_curves().get(table.curve)
         error = _CURVES.bundled if ours else _CURVES.error
-        return Curve.through(_points(place, ours or folder / table.curve, error)), "command"
+        points, counted = _about_rest(_points(place, ours or folder / table.curve, error))
+        return Curve.through(points), "command", counted
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
             raise UndertowError(f"{place}: a polynomial curve needs a 'limit' up to which it is valid")
-        return Curve.polynomial([float(c) for c in table.curve], limit), "command"
-    return None, "command"
+        return Curve.polynomial([float(c) for c in table.curve], limit), "command", None
+    return None, "command", None
 
 
 @dataclass(frozen=True)
@@ -279,6 +286,13 @@ class CurveSettings:
     # The same error for curves that come with undertow: one T200 differs from the next by more, and each
     # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
     bundled: float = 0.0075
+    # Largest thrust at rest, as a share of the span.
+    rest: float = 0.01
+    # Pulses of servos and speed controllers, us: at rest, and to either side at full power (1100 to 1900);
+    # some controllers take more.
+    pulse: float = 1500.0
+    travel: float = 400.0
+    longest_travel: float = 700.0
 
 
 _CURVES = CurveSettings()
@@ -312,6 +326,26 @@ def _points(place: str, path: Path, largest_error: float) -> list[Point]:
             f"{place}: commands of curve '{path}' neither rise nor fall from row to row: sort them"
         )
     return _reduced(found, largest_error)
+
+
+def _about_rest(points: list[Point]) -> tuple[list[Point], tuple[float, float] | None]:
+    """Points by command from rest, in shares of the longer way, and rest and that way; as they are at zero.
+
+    Effects of a command's size or direction, and simulations without one, take zero as rest.
+    """
+    (low, _), (high, _) = points[0], points[-1]
+    span = max(y for _, y in points) - min(y for _, y in points)
+    at_rest = [x for x, y in points if abs(y) <= _CURVES.rest * span]
+    crossed = [a[0] - a[1] * (b[0] - a[0]) / (b[1] - a[1]) for a, b in pairwise(points) if a[1] * b[1] < 0.0]
+    still = at_rest or crossed
+    if not still or min(still) <= 0.0 <= max(still):
+        return points, None
+    ends = [end for end in (low, high) if end in still]
+    rest, way = ends[0] if ends else (min(still) + max(still)) / 2, 0.0
+    if not ends and min(still) <= _CURVES.pulse <= max(still) and high - low <= 2 * _CURVES.longest_travel:
+        rest, way = _CURVES.pulse, _CURVES.travel
+    way = way or max(high - rest, rest - low)
+    return [((x - rest) / way, y) for x, y in points], (rest, way)
 
 
 def _is_number(text: str) -> bool:

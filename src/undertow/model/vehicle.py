@@ -49,6 +49,9 @@ class Thruster:
     command_unit: str = "command"  # unit of the command
     # where it is, body frame, m; none where the file states the wrench itself
     position: tuple[float, float, float] | None = None
+    # what the commands of its curve are in the file, which counts them about another value than zero: the
+    # value at rest, and how far from it a command of one is
+    counted: tuple[float, float] | None = None
 
     @property
     def unit(self) -> str:
@@ -249,15 +252,8 @@ class Vehicle:
     def largest_commands(self) -> dict[str, float]:
         """The same, and for commands without one the end of their curve, if that holds zero."""
         curves = {t.name: t.law for t in self.thrusters if isinstance(t.law, Curve)}
-        ends = {n: c.largest for n, c in curves.items() if n not in self.offset_commands}
+        ends = {n: c.largest for n, c in curves.items() if c.pieces[0][0] <= 0.0 <= c.pieces[-1][1]}
         return ends | self.command_limits
-
-    @property
-    def offset_commands(self) -> dict[str, tuple[float, float]]:
-        """First and last command of the curves that do not hold zero, as of pulses of 1100 to 1900 us."""
-        curves = {t.name: t.law.pieces for t in self.thrusters if isinstance(t.law, Curve)}
-        ends = {n: (float(pieces[0][0]), float(pieces[-1][1])) for n, pieces in curves.items()}
-        return {n: (low, high) for n, (low, high) in ends.items() if not low <= 0.0 <= high}
 
     @cached_property
     def all_effects(self) -> tuple[Effect, ...]:

@@ -25,7 +25,7 @@ from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .compass import deviation
 from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
-from .forces import doubtful_unit, exceeded_limits, impossible, off_curves
+from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings
 from .kinematics import Kinematics, rms
 from .mistakes import (
@@ -363,7 +363,6 @@ class _Examiner:
         self.findings += sensors.not_compared(self.kinematics, self.vehicle)
         self.findings += heading_findings(self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
-        self.findings += off_curves(self.vehicle, self.runs)
         self._undo_deviation()
         kinematics = self.kinematics
         if kinematics:

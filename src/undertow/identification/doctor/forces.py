@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -423,24 +423,21 @@ class _PlausibilityCheck:
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": size, "limit": limit}, [])
 
     def by_curves(self) -> Explanation | None:
-        """Commands outside of the curves of their thrusters, which do not hold zero."""
-        ends, most = self.vehicle.offset_commands, self.settings.off_curve
-        beyond = {n: e for n, e in ends.items() if _outside(_logged(self.runs, n), e) > most}
+        """Commands as the files of the thrusters' curves count them, and not from rest."""
+        counted = {t.name: t.counted for t in self.vehicle.thrusters if t.counted is not None}
+        beyond = {n: c for n, c in counted.items() if _share_beyond(self.runs, n) > self.settings.off_curve}
         if not beyond:
             return None
-        worst = max(beyond, key=lambda n: float(np.ptp(_logged(self.runs, n))))
-        low, high = ends[worst]
-        known = [m for m in _shares_of_curves(beyond) if self._on_curves(m, beyond)]
-        if not known:
-            return None
-        logged = _logged(self.runs, worst)
-        span = f"{np.min(logged):.4g} to {np.max(logged):.4g}"
-        why = f"{worst} is {span}, but its curve goes from {low:g} to {high:g}"
-        return Explanation(known[0], f"{known[0].clause}: {why}", {"low": low, "high": high}, known[1:])
-
-    def _on_curves(self, mistake: Mistake, ends: Mapping[str, tuple[float, float]]) -> bool:
+        scales = {n: (1.0 / way, -rest / way) for n, (rest, way) in counted.items()}
+        mistake = in_other_unit(f"commands {', '.join(counted)} are not counted from rest", scales)
         undone = [mistake.undo(run) for run in self.runs]
-        return all(_outside(_logged(undone, n), e) <= self.settings.off_curve for n, e in ends.items())
+        if any(_share_beyond(undone, n) > PLAUSIBLE.over_limit_share for n in counted):
+            return None
+        worst = max(beyond, key=lambda n: float(np.ptp(_logged(self.runs, n))))
+        logged, rest = _logged(self.runs, worst), counted[worst][0]
+        span = f"{np.min(logged):.4g} to {np.max(logged):.4g}"
+        why = f"{worst} is {span}, as in the file of its curve, which rests at {rest:g}"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"rest": rest}, [])
 
     def by_limits(self) -> Explanation | None:
         """Commands far beyond their limit in the vehicle file."""
@@ -459,20 +456,6 @@ class _PlausibilityCheck:
         value, limit = beyond[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
         return Explanation(known[0], f"{known[0].clause}: {why}", {"value": value, "limit": limit}, known[1:])
-
-
-def _outside(commands: Array, ends: tuple[float, float]) -> float:
-    """Share of commands that are far outside of a curve: by more than its own width."""
-    low, high = ends
-    far = (commands < 2 * low - high) | (commands > 2 * high - low)
-    return float(np.mean(far)) if len(commands) else 0.0
-
-
-def _shares_of_curves(ends: Mapping[str, tuple[float, float]]) -> Iterator[Mistake]:
-    """Commands as shares, or percent, of half the width of their curves."""
-    for clause, full in (("a share of full pulses (-1 to 1)", 1.0), ("in percent of full pulses", 100.0)):
-        scales = {n: ((high - low) / 2 / full, (low + high) / 2) for n, (low, high) in ends.items()}
-        yield in_other_unit(f"commands {', '.join(ends)} are {clause}", scales)
 
 
 def exceeded_limits(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
@@ -500,23 +483,9 @@ def exceeded_limits(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     )
 
 
-def off_curves(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Commands that are often far outside of the curve of their thruster, as 0 where it is switched off."""
-    found = {n: (_outside(_logged(runs, n), ends), ends) for n, ends in vehicle.offset_commands.items()}
-    found = {n: one for n, one in found.items() if one[0] > PLAUSIBLE.over_limit_share}
-    if not found:
-        return
-    worst = max(found, key=lambda n: found[n][0])
-    share, (low, high) = found[worst]
-    yield Finding(
-        id="off_curve",
-        severity="warning",
-        text="commands outside of the curve of their thruster, where its thrust is that of the end: "
-        f"{worst} in {percent(share)} of the samples, its curve goes from {low:g} to {high:g}"
-        + (f" (also {', '.join(n for n in found if n != worst)})" if len(found) > 1 else "")
-        + "; a value that means off is taken out in the mapping file (`missing`, or an expression)",
-        evidence={"share": share},
-    )
+def _share_beyond(runs: Sequence[Run], name: str) -> float:
+    """Share of the samples of a command that are far beyond full power."""
+    return float(np.mean(np.abs(_logged(runs, name)) > PLAUSIBLE.beyond_full))
 
 
 def _logged(runs: Sequence[Run], name: str) -> Array:

@@ -187,8 +187,9 @@ class PlausibilitySettings:
     # it is said. A limit is stated to two or three digits.
     over_limit: float = 1.02
     over_limit_share: float = 0.01
-    # Share of the samples of a command outside of its thruster's curve from which they are in another unit;
-    # an output that is switched off reads 0.
+    # Command beyond full power, and share of such samples from which a thruster with a curve is commanded in
+    # another unit; an output that is switched off reads 0.
+    beyond_full: float = 1.5
     off_curve: float = 0.5
     # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
     angle: float = 1.571

@@ -63,6 +63,7 @@ class GuessSettings:
     still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
     flagged: float = 0.9  # share of new values that a flag must announce
+    beyond: float = 1.5  # largest command, of those of its thruster's curve, that may be counted as there
     pulse: tuple[float, float] = (900.0, 2100.0)  # widths that servos and speed controllers take, us
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
 
@@ -122,9 +123,10 @@ def guess_table(
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
-    axes_of_commands, ends = (_axes(vehicle), vehicle.offset_commands) if vehicle else ({}, {})
+    axes_of_commands = _axes(vehicle) if vehicle else {}
+    counted = {t.name: t.counted for t in vehicle.thrusters} if vehicle else {}
     read += [
-        _command(command, name, data[name.column], units, axes_of_commands, ends.get(command))
+        _command(command, name, data[name.column], units, axes_of_commands, counted.get(command))
         for command, name in driving.items()
     ]
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
@@ -508,11 +510,11 @@ def _command(
     values: Array,
     units: Mapping[str, str],
     axes: Mapping[str, str],
-    ends: tuple[float, float] | None = None,
+    counted: tuple[float, float] | None = None,
 ) -> Guess:
     """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared."""
     # `units`, `axes`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
-    # `ends`: first and last command of the thruster's curve, where that does not hold zero.
+    # `counted`: how the file of the thruster's curve counts its commands.
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
@@ -540,8 +542,12 @@ def _command(
         entry["power"] = 2
         turn = f"1 {name.unit}" if name.unit in TURNS else "n = 1"
         doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale"
-    elif ends and len(pulses) and ends[0] <= np.min(pulses) and most <= ends[1]:
-        doubt = f"from {np.min(pulses):.4g} to {most:.4g}, as its curve from {ends[0]:.4g} to {ends[1]:.4g}?"
+    elif counted and len(pulses) and np.all(np.abs(pulses - counted[0]) <= SETTINGS.beyond * counted[1]):
+        rest, way = counted
+        entry |= {"scale": 1.0 / way, "offset": -rest / way}
+        entry |= {"off": 0.0} if np.any(values == 0.0) and rest > way else {}
+        doubt = f"from {np.min(pulses):.4g} to {most:.4g}, read as -1 ... 1 about {rest:g}, as its curve: "
+        doubt += "is that right?"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
         expected = " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
