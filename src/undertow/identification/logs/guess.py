@@ -109,7 +109,6 @@ def guess_table(
     dead = {n.column for n in names if _is_dead(data[n.column])}
     motion = _best_columns([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
     motion |= _speed_ahead(vehicle, [n for n in names if n.column not in dead and "u" not in motion])
-    units = vehicle.input_units if vehicle else {}
     driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = _motions(motion, names, data, flags, t)
@@ -123,12 +122,7 @@ def guess_table(
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
-    axes_of_commands = _axes(vehicle) if vehicle else {}
-    counted = {t.name: t.counted for t in vehicle.thrusters} if vehicle else {}
-    read += [
-        _command(command, name, data[name.column], units, axes_of_commands, counted.get(command))
-        for command, name in driving.items()
-    ]
+    read += _driven(driving, data, vehicle)
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
@@ -502,6 +496,16 @@ def _factor(guess: Guess) -> float:
     """SI units in one unit of a column of pose or velocity, negative where its sign is reversed."""
     sign = -1.0 if guess.entry.get("scale") == -1 else 1.0
     return sign * scale_offset(str(guess.entry["unit"]), UNITS[guess.channel])[0]
+
+
+def _driven(driving: Mapping[str, Name], data: Mapping[str, Array], vehicle: Vehicle | None) -> list[Guess]:
+    """Guesses of the columns of commands and inputs."""
+    units, axes = (vehicle.input_units, _axes(vehicle)) if vehicle else ({}, {})
+    counted = {t.name: t.counted for t in vehicle.thrusters} if vehicle else {}
+    return [
+        _command(command, name, data[name.column], units, axes, counted.get(command))
+        for command, name in driving.items()
+    ]
 
 
 def _command(
