@@ -234,10 +234,12 @@ def test_a_command_of_zero_is_rest_however_the_curve_counts(
             "states its push in several ways, propeller and thrust_per_command",
         ),
         (PROPELLER.replace('"20 cm"', '"20 kg"'), "diameter"),
+        ('curve = "pulses.csv"\nlimit = 1900\n', "1500 in its file is 0, and 1900 is 1; give 1"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     (tmp_path / "bad.csv").write_text("1,2\n0,1\n3,4\n")
+    (tmp_path / "pulses.csv").write_text("1100,-40\n1500,0\n1900,50\n")
     with pytest.raises(ut.UndertowError) as caught:
         _load(tmp_path, text)
     assert complaint in str(caught.value)

@@ -238,6 +238,12 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
     law, unit, counted = _thrust_law(place, table, folder)
     limit = _limit(place, table.limit)
+    if counted is not None and limit is not None and limit > _CURVES.beyond:
+        rest, way = counted
+        raise UndertowError(
+            f"{place} limit = {limit:g} is not counted from rest, as the commands of its curve are: {rest:g} in "
+            f"its file is 0, and {rest + way:g} is 1; give {(limit - rest) / way:.4g}"
+        )
     lowest = _lowest_command(place, table.lowest, limit)
     push = _thrust_per_command(place, table)
     return Thruster(table.name, wrench, push, limit, lowest, law, unit, position, counted)
@@ -288,6 +294,7 @@ class CurveSettings:
     bundled: float = 0.0075
     # Largest thrust at rest, as a share of the span.
     rest: float = 0.01
+    beyond: float = 1.5  # command beyond full power that no limit allows: it is not counted from rest
     # Pulses of servos and speed controllers, us: at rest, and to either side at full power (1100 to 1900);
     # some controllers take more.
     pulse: float = 1500.0
