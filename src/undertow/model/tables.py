@@ -241,8 +241,8 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
     if counted is not None and limit is not None and limit > _CURVES.beyond:
         rest, way = counted
         raise UndertowError(
-            f"{place} limit = {limit:g} is not counted from rest, as the commands of its curve are: {rest:g} in "
-            f"its file is 0, and {rest + way:g} is 1; give {(limit - rest) / way:.4g}"
+            f"{place} limit = {limit:g} is not counted from rest, as the commands of its curve are: "
+            f"{rest:g} in its file is 0, and {rest + way:g} is 1; give {(limit - rest) / way:.4g}"
         )
     lowest = _lowest_command(place, table.lowest, limit)
     push = _thrust_per_command(place, table)
