@@ -198,6 +198,12 @@ def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
     assert off < 0.003 * 91.5 + 1e-6
 
 
+def test_a_bench_with_an_offset_rests_at_zero(tmp_path: Path) -> None:
+    (tmp_path / "own.csv").write_text("-10,-40\n-1,-3\n0,-1.5\n1,1\n10,45\n")
+    (thruster,) = _load(tmp_path, 'curve = "own.csv"\n').thrusters
+    assert thruster.counted is None
+
+
 @pytest.mark.parametrize(
     ("points", "counted"),
     [

@@ -292,8 +292,10 @@ class CurveSettings:
     # The same error for curves that come with undertow: one T200 differs from the next by more, and each
     # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
     bundled: float = 0.0075
-    # Largest thrust at rest, as a share of the span.
+    # Largest thrust at rest, as a share of the span; and how far from zero a command at rest may be, as a
+    # share of the way to full power: benches have an offset.
     rest: float = 0.01
+    offset: float = 0.1
     beyond: float = 1.5  # command beyond full power that no limit allows: it is not counted from rest
     # Pulses of servos and speed controllers, us: at rest, and to either side at full power (1100 to 1900);
     # some controllers take more.
@@ -352,6 +354,8 @@ def _about_rest(points: list[Point]) -> tuple[list[Point], tuple[float, float] |
     if not ends and min(still) <= _CURVES.pulse <= max(still) and high - low <= 2 * _CURVES.longest_travel:
         rest, way = _CURVES.pulse, _CURVES.travel
     way = way or max(high - rest, rest - low)
+    if abs(rest) <= _CURVES.offset * way:
+        return points, None
     return [((x - rest) / way, y) for x, y in points], (rest, way)
 
 
