@@ -225,16 +225,16 @@ def test_one_bad_log_among_good_ones_is_named() -> None:
 def test_commands_as_the_curve_of_a_thruster_counts_them_are_not_those_from_rest() -> None:
     curve = Curve.through([(-1.0, -40.0), (0.0, 0.0), (1.0, 40.0)])
     ship = _vehicle("usv")
-    pulses = [replace(t, law=curve, limit=None, counted=(1500.0, 400.0)) for t in ship.thrusters]
+    pulses = [replace(t, law=curve, limit=None, normalised_by=(1500.0, 400.0)) for t in ship.thrusters]
     vehicle, run = replace(ship, thrusters=tuple(pulses)), _log("usv", _commands("usv", 10.0, 1500.0))
     message = _refusal(vehicle, run)
-    assert "commands f1, f2, f3 are not counted from rest" in message
+    assert "commands f1, f2, f3 are not normalised" in message
     assert 'f1 = { channel = "f1", scale = 0.0025, offset = -3.75 }' in message
     # With that line, and what it makes of an output that is switched off.
     shares = {n: (run.channels[n] - 1500.0) / 400.0 for n in vehicle.command_names}
     shares["f1"] = np.where(np.arange(len(run.t)) % 5 == 0, -3.75, shares["f1"])
     found = examine(vehicle, [replace(run, channels={**run.channels, **shares})]).result.findings
-    assert not any("counted from rest" in f.text for f in found)
+    assert not any("not normalised" in f.text for f in found)
 
 
 def test_the_line_mends_a_mapping_that_is_itself_the_mistake(tmp_path: Path) -> None:

@@ -201,11 +201,11 @@ def test_a_table_of_two_hundred_rows_keeps_few_points(tmp_path: Path) -> None:
 def test_a_bench_with_an_offset_rests_at_zero(tmp_path: Path) -> None:
     (tmp_path / "own.csv").write_text("-10,-40\n-1,-3\n0,-1.5\n1,1\n10,45\n")
     (thruster,) = _load(tmp_path, 'curve = "own.csv"\n').thrusters
-    assert thruster.counted is None
+    assert thruster.normalised_by is None
 
 
 @pytest.mark.parametrize(
-    ("points", "counted"),
+    ("points", "normalised_by"),
     [
         (T200, (1500.0, 400.0)),
         ([(1000, -50.0), (1400, -2.0), (1490, 0.0), (1505, 0.0), (2000, 60.0)], (1500.0, 400.0)),
@@ -218,12 +218,12 @@ def test_a_bench_with_an_offset_rests_at_zero(tmp_path: Path) -> None:
     ids=["us", "to 2000 us", "0 to 200", "one way", "volts", "percent", "from zero"],
 )
 def test_a_command_of_zero_is_rest_however_the_curve_counts(
-    tmp_path: Path, points: list[tuple[float, float]], counted: tuple[float, float] | None
+    tmp_path: Path, points: list[tuple[float, float]], normalised_by: tuple[float, float] | None
 ) -> None:
     (tmp_path / "own.csv").write_text("\n".join(f"{c},{f}" for c, f in points))
     vehicle = _load(tmp_path, 'curve = "own.csv"\n')
-    (thruster,), (rest, way) = vehicle.thrusters, counted or (0.0, 1.0)
-    assert thruster.counted == (counted and pytest.approx(counted))
+    (thruster,), (rest, way) = vehicle.thrusters, normalised_by or (0.0, 1.0)
+    assert thruster.normalised_by == (normalised_by and pytest.approx(normalised_by))
     assert _thrust(vehicle, 0.0)[0] == pytest.approx(0.0, abs=1e-9)
     for command, force in points:
         assert _thrust(vehicle, (command - rest) / way)[0] == pytest.approx(force, abs=0.15)

@@ -11,6 +11,7 @@ import numpy as np
 from undertow.errors import UndertowError
 from undertow.model.effect import Curve, Propeller
 from undertow.model.symbols import FORCE, FORCE_UNITS
+from undertow.model.units import PULSES
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
 
@@ -126,10 +127,6 @@ class ThrusterSettings:
 
     # points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %
     points: int = 33
-    # neutral, span: servo pulse without thrust and from there to full thrust, microseconds: that of common
-    # motor controllers, 1100 to 1900
-    neutral: float = 1500.0
-    span: float = 400.0
     # command up to which a thruster without curve and limit follows its line: beyond any thrust
     reach: float = 1e6
 
@@ -156,8 +153,8 @@ def thrusters_c(c: Dialect, vehicle: Vehicle) -> Part:
     template = (files("undertow.codegen") / "templates" / "thrusters.c").read_text(encoding="utf-8")
     tail = fill(template, {"LOWER": n, "UPPER": n.upper()})
     numbers = {
-        "neutral": (SETTINGS.neutral, "microseconds without thrust"),
-        "span": (SETTINGS.span, "microseconds from there to full thrust"),
+        "neutral": (PULSES.neutral, "microseconds without thrust"),
+        "span": (PULSES.span, "microseconds from there to full thrust"),
         "full_command": (full, "command of full thrust"),
     }
     members = "".join(f"  {real} {name}; /* {words} */\n" for name, (_, words) in numbers.items())

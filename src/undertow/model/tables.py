@@ -30,7 +30,7 @@ from undertow.files import files_beside, read_toml
 from .effect import Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
 from .symbols import DOFS
-from .units import si_of
+from .units import PULSES, si_of
 from .vehicle import Thruster, Value
 
 Quantity = StrictFloat | StrictInt | StrictStr
@@ -236,17 +236,17 @@ def thruster_of(table: ThrusterTable, folder: Path) -> Thruster:
         position, wrench = (x, y, z), _wrench_at(place, (x, y, z), table)
     if not any(wrench):
         raise UndertowError(f"{place} wrench is zero: give the force and moment of one newton of thrust")
-    law, unit, counted = _thrust_law(place, table, folder)
+    law, unit, normalised_by = _thrust_law(place, table, folder)
     limit = _limit(place, table.limit)
-    if counted is not None and limit is not None and limit > _CURVES.beyond:
-        rest, way = counted
+    if normalised_by is not None and limit is not None and limit > _CURVES.beyond:
+        neutral, span = normalised_by
         raise UndertowError(
-            f"{place} limit = {limit:g} is not counted from rest, as the commands of its curve are: "
-            f"{rest:g} in its file is 0, and {rest + way:g} is 1; give {(limit - rest) / way:.4g}"
+            f"{place} limit = {limit:g} is not normalised, as the commands of its curve are: "
+            f"{neutral:g} in its file is 0, and {neutral + span:g} is 1; give {(limit - neutral) / span:.4g}"
         )
     lowest = _lowest_command(place, table.lowest, limit)
     push = _thrust_per_command(place, table)
-    return Thruster(table.name, wrench, push, limit, lowest, law, unit, position, counted)
+    return Thruster(table.name, wrench, push, limit, lowest, law, unit, position, normalised_by)
 
 
 # Revolutions per second of one unit of the speed of a propeller, by name.
@@ -257,7 +257,7 @@ PROPELLER_KEYS = ("K_T0", "K_T1", "wake_fraction", "thrust_deduction")
 def _thrust_law(
     place: str, table: ThrusterTable, folder: Path
 ) -> tuple[Law, str, tuple[float, float] | None]:
-    """How the command becomes thrust, the command's unit, and how the file counts it (see `Thruster`)."""
+    """How the command becomes thrust, the command's unit, and by what it is normalised (see `Thruster`)."""
     stated = {"curve", "propeller", "thrust_per_command"} & table.model_fields_set
     if "propeller" in stated and len(stated) > 1:
         raise UndertowError(
@@ -273,8 +273,8 @@ def _thrust_law(
     if isinstance(table.curve, str):
         ours = bundled_curves().get(table.curve)
         error = _CURVES.bundled if ours else _CURVES.error
-        points, counted = _about_rest(_points(place, ours or folder / table.curve, error))
-        return Curve.through(points), "command", counted
+        points, normalised_by = _normalised(_points(place, ours or folder / table.curve, error))
+        return Curve.through(points), "command", normalised_by
     if table.curve is not None:
         limit = _limit(place, table.limit)
         if limit is None or not table.curve:
@@ -292,16 +292,12 @@ class CurveSettings:
     # The same error for curves that come with undertow: one T200 differs from the next by more, and each
     # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.
     bundled: float = 0.0075
-    # Largest thrust at rest, as a share of the span; and how far from zero a command at rest may be, as a
-    # share of the way to full power: benches have an offset.
-    rest: float = 0.01
+    # Largest thrust at the neutral command, as a share of that of the curve from end to end; and distance of
+    # that command from zero, as a share of the span, up to which it is an offset of the bench.
+    neutral: float = 0.01
     offset: float = 0.1
-    beyond: float = 1.5  # command beyond full power that no limit allows: it is not counted from rest
-    # Pulses of servos and speed controllers, us: at rest, and to either side at full power (1100 to 1900);
-    # some controllers take more.
-    pulse: float = 1500.0
-    travel: float = 400.0
-    longest_travel: float = 700.0
+    beyond: float = 1.5  # normalised command that no limit allows
+    longest_span: float = 700.0  # of pulses, us: some controllers take more than 1100 to 1900
 
 
 _CURVES = CurveSettings()
@@ -337,26 +333,26 @@ def _points(place: str, path: Path, largest_error: float) -> list[Point]:
     return _reduced(found, largest_error)
 
 
-def _about_rest(points: list[Point]) -> tuple[list[Point], tuple[float, float] | None]:
-    """Points by command from rest, in shares of the longer way, and rest and that way; as they are at zero.
+def _normalised(points: list[Point]) -> tuple[list[Point], tuple[float, float] | None]:
+    """Points with normalised commands, and neutral and span of the file; as they are where neutral is 0.
 
-    Effects of a command's size or direction, and simulations without one, take zero as rest.
+    Effects of a command's size or direction, and simulations without one, take zero as neutral.
     """
     (low, _), (high, _) = points[0], points[-1]
-    span = max(y for _, y in points) - min(y for _, y in points)
-    at_rest = [x for x, y in points if abs(y) <= _CURVES.rest * span]
+    most = max(y for _, y in points) - min(y for _, y in points)
+    idle = [x for x, y in points if abs(y) <= _CURVES.neutral * most]
     crossed = [a[0] - a[1] * (b[0] - a[0]) / (b[1] - a[1]) for a, b in pairwise(points) if a[1] * b[1] < 0.0]
-    still = at_rest or crossed
-    if not still or min(still) <= 0.0 <= max(still):
+    idle = idle or crossed
+    if not idle or min(idle) <= 0.0 <= max(idle):
         return points, None
-    ends = [end for end in (low, high) if end in still]
-    rest, way = ends[0] if ends else (min(still) + max(still)) / 2, 0.0
-    if not ends and min(still) <= _CURVES.pulse <= max(still) and high - low <= 2 * _CURVES.longest_travel:
-        rest, way = _CURVES.pulse, _CURVES.travel
-    way = way or max(high - rest, rest - low)
-    if abs(rest) <= _CURVES.offset * way:
+    ends = [end for end in (low, high) if end in idle]
+    neutral = ends[0] if ends else (min(idle) + max(idle)) / 2
+    span = max(high - neutral, neutral - low)
+    if not ends and min(idle) <= PULSES.neutral <= max(idle) and high - low <= 2 * _CURVES.longest_span:
+        neutral, span = PULSES.neutral, PULSES.span
+    if abs(neutral) <= _CURVES.offset * span:
         return points, None
-    return [((x - rest) / way, y) for x, y in points], (rest, way)
+    return [((x - neutral) / span, y) for x, y in points], (neutral, span)
 
 
 def _is_number(text: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,17 @@ _UNIT = re.compile(
     r"(?:1(?= ?/|$))?(?:[A-Za-z\u00b5\u03bc\u03a9\u00b0%_]|\^[+-]?\d(?![\d.^])|[*/() ])*", re.ASCII
 )
 _LONGEST = 80
+
+
+@dataclass(frozen=True)
+class PulseSettings:
+    """Pulses of common servos and motor controllers, 1100 to 1900 us."""
+
+    neutral: float = 1500.0  # without thrust, us
+    span: float = 400.0  # from there to full thrust, us
+
+
+PULSES = PulseSettings()
 _PLAIN = str.maketrans({"²": "^2", "³": "^3", "·": " ", "⋅": " "})
 _HOW = "write it like 'kg m^2' or 'N/(m/s)^2'"
 

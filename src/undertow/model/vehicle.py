@@ -49,9 +49,9 @@ class Thruster:
     command_unit: str = "command"  # unit of the command
     # where it is, body frame, m; none where the file states the wrench itself
     position: tuple[float, float, float] | None = None
-    # what the commands of its curve are in the file, which counts them about another value than zero: the
-    # value at rest, and how far from it a command of one is
-    counted: tuple[float, float] | None = None
+    # neutral and span, in the commands of the file of its curve, by which these are normalised to -1 ... 1
+    # about neutral; none where the neutral command is zero
+    normalised_by: tuple[float, float] | None = None
 
     @property
     def unit(self) -> str:

@@ -27,6 +27,7 @@ from undertow.identification.logs.mapping import Edit, LogMapping, column_edit, 
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Effect
 from undertow.model.symbols import POSE, VELOCITY
+from undertow.model.units import PULSES
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -68,8 +69,6 @@ class DynamicsSettings:
     cost: float = 0.01
     unit: float = 5.0  # change of a channel's spread that only another unit explains
     negligible: float = 0.5  # excess over the noise that counts as none
-    pwm_middle: float = 1500.0  # pulse width of a servo signal at rest, microseconds
-    pwm_travel: float = 400.0  # its travel to either side
     alike: float = 0.02  # share by which two thrusters must differ to be exchanged
     fitted: int = 4  # mistakes that are fitted until convergence after a screening of all
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
@@ -362,7 +361,7 @@ def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     if not limits:
         return
     largest = max(float(np.nanmax(np.abs(r.channels[n]))) for r in runs for n in limits)
-    travel, middle = SETTINGS.pwm_travel, SETTINGS.pwm_middle
+    travel, middle = PULSES.span, PULSES.neutral
     units = {  # scale, offset, and what the largest in a log is at least and at most
         "in percent of the limit": (0.01, 0.0, 1.05, 105.0),
         "a share of the limit (-1 to 1)": (1.0, 0.0, 0.0, 1.05),

@@ -423,21 +423,22 @@ class _PlausibilityCheck:
         return Explanation(mistake, f"{mistake.clause}: {why}", {"value": size, "limit": limit}, [])
 
     def by_curves(self) -> Explanation | None:
-        """Commands as the files of the thrusters' curves count them, and not from rest."""
-        counted = {t.name: t.counted for t in self.vehicle.thrusters if t.counted is not None}
-        beyond = {n: c for n, c in counted.items() if _share_beyond(self.runs, n) > self.settings.off_curve}
+        """Commands as the files of the thrusters' curves have them, and not normalised."""
+        known = {t.name: t.normalised_by for t in self.vehicle.thrusters if t.normalised_by is not None}
+        most = self.settings.beyond_full_share
+        beyond = {n: by for n, by in known.items() if _share_beyond(self.runs, n) > most}
         if not beyond:
             return None
-        scales = {n: (1.0 / way, -rest / way) for n, (rest, way) in counted.items()}
-        mistake = in_other_unit(f"commands {', '.join(counted)} are not counted from rest", scales)
+        scales = {n: (1.0 / span, -neutral / span) for n, (neutral, span) in beyond.items()}
+        mistake = in_other_unit(f"commands {', '.join(beyond)} are not normalised", scales)
         undone = [mistake.undo(run) for run in self.runs]
-        if any(_share_beyond(undone, n) > PLAUSIBLE.over_limit_share for n in counted):
+        if any(_share_beyond(undone, n) > PLAUSIBLE.over_limit_share for n in beyond):
             return None
         worst = max(beyond, key=lambda n: float(np.ptp(_logged(self.runs, n))))
-        logged, rest = _logged(self.runs, worst), counted[worst][0]
+        logged, neutral = _logged(self.runs, worst), beyond[worst][0]
         span = f"{np.min(logged):.4g} to {np.max(logged):.4g}"
-        why = f"{worst} is {span}, as in the file of its curve, which rests at {rest:g}"
-        return Explanation(mistake, f"{mistake.clause}: {why}", {"rest": rest}, [])
+        why = f"{worst} is {span}, as in the file of its curve, whose neutral is {neutral:g}"
+        return Explanation(mistake, f"{mistake.clause}: {why}", {"neutral": neutral}, [])
 
     def by_limits(self) -> Explanation | None:
         """Commands far beyond their limit in the vehicle file."""
@@ -485,7 +486,8 @@ def exceeded_limits(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
 
 def _share_beyond(runs: Sequence[Run], name: str) -> float:
     """Share of the samples of a command that are far beyond full power."""
-    return float(np.mean(np.abs(_logged(runs, name)) > PLAUSIBLE.beyond_full))
+    logged = _logged(runs, name)
+    return float(np.mean(np.abs(logged) > PLAUSIBLE.beyond_full)) if len(logged) else 0.0
 
 
 def _logged(runs: Sequence[Run], name: str) -> Array:

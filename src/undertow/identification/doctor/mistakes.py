@@ -187,10 +187,10 @@ class PlausibilitySettings:
     # it is said. A limit is stated to two or three digits.
     over_limit: float = 1.02
     over_limit_share: float = 0.01
-    # Command beyond full power, and share of such samples from which a thruster with a curve is commanded in
-    # another unit; an output that is switched off reads 0.
+    # Normalised command beyond full power, and share of such samples from which commands are not normalised;
+    # an output that is switched off reads 0.
     beyond_full: float = 1.5
-    off_curve: float = 0.5
+    beyond_full_share: float = 0.5
     # Rms of the angle of a rudder or fin, rad: a right angle, at which it would be a wall; 2 degrees make 2.
     angle: float = 1.571
     # Share of its reading by which a velocity sensor may be wrong in scale; knots read as m/s are 0.49.

@@ -14,7 +14,7 @@ from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
 from undertow.model.tables import TURNS
-from undertow.model.units import scale_offset
+from undertow.model.units import PULSES, scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -63,7 +63,7 @@ class GuessSettings:
     still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
     flagged: float = 0.9  # share of new values that a flag must announce
-    beyond: float = 1.5  # largest command, of those of its thruster's curve, that may be counted as there
+    beyond: float = 1.5  # largest normalised command that may be one of the thruster's curve
     pulse: tuple[float, float] = (900.0, 2100.0)  # widths that servos and speed controllers take, us
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
 
@@ -501,9 +501,9 @@ def _factor(guess: Guess) -> float:
 def _driven(driving: Mapping[str, Name], data: Mapping[str, Array], vehicle: Vehicle | None) -> list[Guess]:
     """Guesses of the columns of commands and inputs."""
     units, axes = (vehicle.input_units, _axes(vehicle)) if vehicle else ({}, {})
-    counted = {t.name: t.counted for t in vehicle.thrusters} if vehicle else {}
+    normalised_by = {t.name: t.normalised_by for t in vehicle.thrusters} if vehicle else {}
     return [
-        _command(command, name, data[name.column], units, axes, counted.get(command))
+        _command(command, name, data[name.column], units, axes, normalised_by.get(command))
         for command, name in driving.items()
     ]
 
@@ -514,11 +514,11 @@ def _command(
     values: Array,
     units: Mapping[str, str],
     axes: Mapping[str, str],
-    counted: tuple[float, float] | None = None,
+    normalised_by: tuple[float, float] | None = None,
 ) -> Guess:
     """A command: forces and angles with their unit, pulses as -1 ... 1, revolutions squared."""
     # `units`, `axes`: those of the commands and inputs of the vehicle, by name; none without a vehicle.
-    # `counted`: how the file of the thruster's curve counts its commands.
+    # `normalised_by`: neutral and span of the thruster's curve, as of `Thruster`.
     entry: dict[str, object] = {"channel": command}
     most, least = float(np.nanmax(values, initial=0.0)), float(np.nanmin(values, initial=0.0))
     unit, quantity = units.get(command, ""), _quantities().get(command, "")
@@ -546,14 +546,12 @@ def _command(
         entry["power"] = 2
         turn = f"1 {name.unit}" if name.unit in TURNS else "n = 1"
         doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale"
-    elif counted and len(pulses) and np.all(np.abs(pulses - counted[0]) <= SETTINGS.beyond * counted[1]):
-        rest, way = counted
-        entry |= {"scale": 1.0 / way, "offset": -rest / way}
-        entry |= {"off": 0.0} if np.any(values == 0.0) and rest > way else {}
-        doubt = f"from {np.min(pulses):.4g} to {most:.4g}, read as -1 ... 1 about {rest:g}, as its curve: "
-        doubt += "is that right?"
+    elif normalised_by and len(pulses) and _are_within(pulses, *normalised_by):
+        entry |= _normalisation(*normalised_by, values)
+        about = f"read as -1 ... 1 about {normalised_by[0]:g}, as its curve: is that right?"
+        doubt = f"from {np.min(pulses):.4g} to {most:.4g}, {about}"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
-        entry |= {"scale": 0.0025, "offset": -3.75} | ({"off": 0.0} if np.any(values == 0.0) else {})
+        entry |= _normalisation(PULSES.neutral, PULSES.span, values)
         expected = " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
         doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: "
         doubt += f"is that right?{expected if unit == 'N' else ''}"
@@ -564,6 +562,17 @@ def _command(
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
         doubt += expected if unit == "N" else ""
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
+
+
+def _are_within(commands: Array, neutral: float, span: float) -> bool:
+    """Whether commands may be those of a curve with this neutral command and span."""
+    return bool(np.all(np.abs(commands - neutral) <= SETTINGS.beyond * span))
+
+
+def _normalisation(neutral: float, span: float, values: Array) -> dict[str, float]:
+    """What makes of a column commands of -1 ... 1 about neutral; 0 far outside means switched off."""
+    off = {"off": 0.0} if np.any(values == 0.0) and neutral > span else {}
+    return {"scale": 1.0 / span, "offset": -neutral / span} | off
 
 
 def _quantities() -> dict[str, str]:

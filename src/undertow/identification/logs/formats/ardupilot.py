@@ -17,6 +17,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column
 from undertow.model.loading import resolve_vehicle
 from undertow.model.tables import bundled_curves
+from undertow.model.units import PULSES
 from undertow.typing import Array
 
 from .fieldlog import OFF, FieldLog, Series, switched_off
@@ -28,10 +29,8 @@ Parameters = Mapping[str, float | str]
 class AutopilotSettings:
     """Conversion of pulses to commands, and status flags of the estimator."""
 
-    travel: float = 400.0  # microseconds from rest to full output; ArduSub has 1100 to 1900
-    rest: float = 1500.0  # microseconds
-    # Largest distance of a trim from `rest`, microseconds, that a thruster can have: others are of lights and
-    # grippers, which rest at one end.
+    # Largest distance of a trim from the neutral pulse, microseconds, that a thruster can have: others are
+    # of lights and grippers, which rest at one end.
     trim: float = 100.0
     # The last bit of `solution status` with which an estimator holds its position for lack of aiding.
     held: int = 1 << 7
@@ -85,8 +84,8 @@ def actuators(
         return (), ["no SERVOn_FUNCTION says which outputs drive motors: name them in a mapping file (--map)"]
     for motor, output in by_motor.items():
         name, pulses = outputs[output]
-        rest, travel = _rest(parameters.get(f"SERVO{output}_TRIM"), pulses), SETTINGS.travel
-        if rest != SETTINGS.rest:
+        rest, travel = _rest(parameters.get(f"SERVO{output}_TRIM"), pulses), PULSES.span
+        if rest != PULSES.neutral:
             notes.append(f"motor {motor} rests at {rest:g} µs, the trim of output {output}")
         if parameters.get(f"SERVO{output}_REVERSED") == 1.0:
             # AP_Motors of ArduSub writes pulses, which pass by SERVOn_REVERSED; other programs write scaled
@@ -103,10 +102,10 @@ def actuators(
 
 def _rest(trim: float | str | None, pulses: Array) -> float:
     """The neutral pulse of a motor: the trim, unless the output rests in the middle."""
-    if not isinstance(trim, float) or abs(trim - SETTINGS.rest) > SETTINGS.trim:
-        return SETTINGS.rest
-    at_trim, at_middle = (int(np.sum(pulses == value)) for value in (trim, SETTINGS.rest))
-    return trim if at_trim >= at_middle else SETTINGS.rest
+    if not isinstance(trim, float) or abs(trim - PULSES.neutral) > SETTINGS.trim:
+        return PULSES.neutral
+    at_trim, at_middle = (int(np.sum(pulses == value)) for value in (trim, PULSES.neutral))
+    return trim if at_trim >= at_middle else PULSES.neutral
 
 
 # --- the vehicle ----------------------------------------------------------------------------------
