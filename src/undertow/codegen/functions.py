@@ -283,6 +283,17 @@ class Functions:
         return self._function("quickest", [ca.cse(ca.diagcat(self._slopes_at_rest, slopes))], ["slopes"])
 
     @cached_property
+    def motion_slopes(self) -> ca.Function:
+        """`slopes = motion_slopes(x, u, p, t)`: d(rates)/d(states) of pose and velocity, 1/s, with actuators
+        at rest and without memory.
+        """
+        motion = slice(2 * self.nu_dot.numel())
+        slopes = ca.jacobian(self.x_dot[motion], self.x[motion])
+        slopes = ca.substitute(slopes, self.actuator_states, self.actuator_rest)
+        slopes = ca.substitute(slopes, self.memory, ca.SX.zeros(self.memory.shape))
+        return self._function("motion_slopes", [ca.cse(slopes)], ["slopes"])
+
+    @cached_property
     def prepared(self) -> Prepared:
         """`q = prepare(p)` once, then `x_dot = dynamics(x, u, q, t)` with few operations."""
         return prepared(self)

@@ -36,6 +36,8 @@ from .functions import Functions
 
 # Runge-Kutta steps (times runs) in one call; between calls Ctrl-C takes effect.
 _STEPS_PER_CALL = 200_000
+# Longest Runge-Kutta step where the caller knows nothing of the motion, s.
+LONGEST_STEP = 0.05
 # A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
 _REACH = 0.7
 # What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds. That
@@ -91,7 +93,14 @@ class Simulator:
 
     # --- runs ---------------------------------------------------------------------------------
     def run(
-        self, x0: Array, t: Array, u: Array, p: Array, *, max_step: float = 0.05, threads: int | None = None
+        self,
+        x0: Array,
+        t: Array,
+        u: Array,
+        p: Array,
+        *,
+        max_step: float = LONGEST_STEP,
+        threads: int | None = None,
     ) -> Array:
         """Simulate one run, or a batch of b runs side by side in the lanes of vectors and in threads.
 
@@ -115,7 +124,15 @@ class Simulator:
         return problem.x[0] if np.ndim(x0) == 1 else problem.x
 
     def run_with_sensitivities(
-        self, x0: Array, t: Array, u: Array, p: Array, wrt: Sequence[int], *, initial: Sequence[int] = ()
+        self,
+        x0: Array,
+        t: Array,
+        u: Array,
+        p: Array,
+        wrt: Sequence[int],
+        *,
+        initial: Sequence[int] = (),
+        max_step: float = LONGEST_STEP,
     ) -> tuple[Array, Array]:
         """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
 
@@ -123,7 +140,7 @@ class Simulator:
         index. Returns states, shape (..., n, nx), and their derivatives, parameters first, shape
         (..., n, nx, len(wrt) + len(initial)).
         """
-        problem = self._problem(x0, t, u, p)
+        problem = self._problem(x0, t, u, p, max_step)
         _start_sensitivities(problem, list(wrt), list(initial))
         self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
@@ -138,6 +155,8 @@ class Simulator:
         measured: Array,
         weight: Array,
         group: Integers,
+        *,
+        max_step: float = LONGEST_STEP,
     ) -> Products:
         """Simulate windows and differentiate, keeping only the sums that a Gauss-Newton step needs.
 
@@ -146,7 +165,7 @@ class Simulator:
         zero for what does not count, shape (b, n, 2 dof) each; `group`, shape (b, n), says of which sum of
         its window a sample is part, counted from zero, never falling.
         """
-        problem = self._problem(x0, t, u, p)
+        problem = self._problem(x0, t, u, p, max_step)
         size = 2 * self._functions.nu_dot.numel()
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
@@ -180,7 +199,7 @@ class Simulator:
         return [self._functions.quickest.jac_sparsity(0, k).nnz() > 0 for k in range(4)]
 
     # --- input --------------------------------------------------------------------------------
-    def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float = 0.05) -> Problem:
+    def _problem(self, x0: Array, t: Array, u: Array, p: Array, max_step: float) -> Problem:
         if not max_step > 0:
             raise UndertowError(f"max_step = {max_step:g} s is not a step: give a positive time")
         start, times, inputs, parameters = checked_runs(self._functions, x0, t, u, p)
@@ -217,8 +236,9 @@ def _longest(slopes: Array, max_step: float) -> Array:
     # No eigenvalue exceeds the norm: most runs need none worked out.
     stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
     rates[stiff] = np.maximum(rates[stiff], _fastest_decay(known[stiff]))
-    longest = np.maximum(_REACH / rates, max_step / _MOST_PARTS)
-    slurred = np.maximum(_STABLE / rates, max_step / _MOST_STEPS)
+    usual = min(max_step, LONGEST_STEP)
+    longest = np.maximum(_REACH / rates, usual / _MOST_PARTS)
+    slurred = np.maximum(_STABLE / rates, usual / _MOST_STEPS)
     return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))
 
 

@@ -290,15 +290,40 @@ class Pointwise:
     def value_and_derivatives(self) -> ca.Function:
         """The rows, and their (sparse) derivatives in the free parameters, the actuation, what it was before,
         and the memory.
+
+        Where the force of the commands depends on the motion, half of it: the other half is `held_after`.
         """
+        return self._values("weak_derivatives", slice(0, 5 * self.size))
+
+    @cached_property
+    def held_after(self) -> ca.Function:
+        """Half of the rows of the commands alone, with the same derivatives, for the motion at the end of the
+        interval over which a command is held.
+        """
+        return self._values("weak_held", self.held_rows)
+
+    @property
+    def held_rows(self) -> slice:
+        """Rows of the acceleration by the commands."""
+        return slice(4 * self.size, 5 * self.size)
+
+    def _values(self, name: str, rows: slice) -> ca.Function:
+        value, *derivatives = (table[rows, :] for table in self._tables)
+        return ca.Function(name, self._inputs, ca.cse([value, *map(ca.sparsify, derivatives)]))
+
+    @cached_property
+    def _tables(self) -> list[ca.SX]:
+        """The rows and their derivatives, of those of the commands half where there is another half."""
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.free])
         # An actuator chain without free parameters does not depend on them.
         chain = f.actuation if self.actuators_vary else f.actuation[:0]
         before = self.previous[: chain.shape[0]]
-        derivatives = [ca.sparsify(self._slope(v)) for v in (free, chain, before, f.memory)]
-        results = ca.cse([ca.densify(self._rows), *derivatives])
-        return ca.Function("weak_derivatives", self._inputs, results)
+        tables = [ca.densify(self._rows), *(self._slope(v) for v in (free, chain, before, f.memory))]
+        if not self.held_depends_on_motion:
+            return tables
+        others = slice(0, self.held_rows.start)
+        return [ca.vertcat(table[others, :], 0.5 * table[self.held_rows, :]) for table in tables]
 
     @cached_property
     def noise(self) -> ca.Function:

@@ -14,7 +14,7 @@ import numpy as np
 
 from undertow.codegen.engine import at_samples, mapped
 from undertow.codegen.functions import Functions
-from undertow.codegen.simulate import Simulator
+from undertow.codegen.simulate import LONGEST_STEP, Simulator
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Index
@@ -23,7 +23,15 @@ from .data import group_numbers
 from .inputs import Inputs, PropagatedState, shifted_mean
 from .pointwise import Pointwise
 from .residual import SensorDelay
-from .windows import Prediction, WindowCommands, Windows, cut, delayed_commands
+from .windows import (
+    Prediction,
+    Segment,
+    WindowCommands,
+    Windows,
+    cut,
+    delayed_commands,
+    resolving_step,
+)
 
 Simulate = Callable[[Array, Array, WindowCommands, Array, Array], Array]
 
@@ -286,6 +294,8 @@ class Predictor:
         # One tuple, so that threads with different windows do not mix them up.
         self._recent: tuple[Callable[[], Windows | None], dict[bytes, _StartStates]]
         self._recent = (lambda: None), {}
+        # For the segments that windows were cut from: in a descent, steps must not change on the way.
+        self._resolved: tuple[tuple[Segment, ...], float] = ((), LONGEST_STEP)
 
     def for_other_windows(self) -> Predictor:
         """The same predictor for other windows: what it keeps of them is its own."""
@@ -327,7 +337,15 @@ class Predictor:
         """States at the start of every window, (b, nx), and the commands in it, as for `reports`."""
         commands = delayed_commands(windows, self._delay(p))
         found = self._start_states(windows, p, near, commands)
+        commands = replace(commands, longest_step=self._resolving_step(windows, p))
         return np.column_stack([found.motion if motion is None else motion, found.own]), commands
+
+    def _resolving_step(self, windows: Windows, p: Array) -> float:
+        """Longest Runge-Kutta step in these windows, s, by the first parameters that they are simulated with.
+        """
+        if self._resolved[0] is not windows.segments:
+            self._resolved = windows.segments, resolving_step(self.functions, windows, p)
+        return self._resolved[1]
 
     def _delay(self, p: Array) -> float:
         """How late commands arrive, s."""
@@ -373,7 +391,8 @@ class Predictor:
 
         `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at first.
         """
-        states = commands.at_samples(self.simulator.run(start, commands.t, commands.held, p))
+        states = self.simulator.run(start, commands.t, commands.held, p, max_step=commands.longest_step)
+        states = commands.at_samples(states)
         prompt = self.reported(states, t, commands.u, p)
         if not self.sensor_delay.present:
             return prompt

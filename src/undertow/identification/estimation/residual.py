@@ -484,15 +484,14 @@ class WeakModel:
         each = list(zip(along, memories, strict=True))
         actuation, memory = Actuation.along_all([a for _, a, _ in along]), DrivenSignal.joined(memories)
         inputs = _stacked([self._inputs(s, a, m.value, p) for (s, a, p), m in each])
-        entries = self._entries(inputs, actuation, memory)
+        entries = self._entries(self._points.value_and_derivatives, inputs, actuation, memory)
         if self._points.held_depends_on_motion:
             later = (
                 self._inputs(replace(s, measured=_following(s.measured)), a, _following(m.value), p)
                 for (s, a, p), m in each
             )
-            others = self._entries(_stacked(list(later)), actuation, memory)
-            held = slice(4 * self._points.size, 5 * self._points.size)
-            entries = [a.averaged(b, held) for a, b in zip(entries, others, strict=True)]
+            others = self._entries(self._points.held_after, _stacked(list(later)), actuation, memory)
+            entries += [e.moved_down(self._points.held_rows.start) for e in others]
         sums = self._weak_sums(entries, windows, rows)
         return sums.split([s.functions.count * len(rows) for s, _, _ in along])
 
@@ -502,9 +501,10 @@ class WeakModel:
         inverse, t = self._points.mass_inverse(p), s.t[:, None]
         return [s.measured, actuation.value, memory, s.u, inverse, before, s.kink_delay, p, t]
 
-    def _entries(self, inputs: list[Array], actuation: Actuation, memory: DrivenSignal) -> list[Entries]:
-        """The rows at the samples with their total derivatives in the free parameters and first states."""
-        function = self._points.value_and_derivatives
+    def _entries(
+        self, function: ca.Function, inputs: list[Array], actuation: Actuation, memory: DrivenSignal
+    ) -> list[Entries]:
+        """Rows at the samples with their total derivatives in the free parameters and first states."""
         value, free, *by_driven = at_samples(function, inputs, len(inputs[0]))
         first, last = 1, 1 + len(self.values.names)
         pattern, direct, *patterns = (function.sparsity_out(i) for i in range(function.n_out()))

@@ -421,9 +421,17 @@ class Shooting:
         measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
             known = (commands.zero_filled(measured), commands.zero_filled(weight), self._groups(commands.t))
-            return simulator.products(start, commands.t, commands.held, p, self.places, *known)
+            return simulator.products(
+                start, commands.t, commands.held, p, self.places, *known, max_step=commands.longest_step
+            )
         x, s = simulator.run_with_sensitivities(
-            start, commands.t, commands.held, p, self.places, initial=range(self._size)
+            start,
+            commands.t,
+            commands.held,
+            p,
+            self.places,
+            initial=range(self._size),
+            max_step=commands.longest_step,
         )
         x, s = commands.at_samples(x), commands.at_samples(s)
         reported, slope = self._reported_late(*self.report_slopes(x, s, commands.u, t, p), rows, p)

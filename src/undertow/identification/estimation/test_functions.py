@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
 
@@ -279,12 +279,9 @@ class Entries:
         places = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         return cls(row[places[:, 0]], first + places[:, 1], table, first + width)
 
-    def averaged(self, other: Entries, rows: slice) -> Entries:
-        """Mean with another table of the same places, in some rows."""
-        data = self.data.copy()
-        chosen = (self.row >= rows.start) & (self.row < rows.stop)
-        data[:, chosen] = 0.5 * (data[:, chosen] + other.data[:, chosen])
-        return Entries(self.row, self.column, data, self.width)
+    def moved_down(self, rows: int) -> Entries:
+        """The same entries so many rows further down."""
+        return replace(self, row=self.row + rows)
 
 
 def _places(pattern: ca.Sparsity) -> tuple[Index, Index]:
