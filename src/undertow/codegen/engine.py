@@ -457,31 +457,32 @@ def products_of(value: Array, slope: Array, measured: Array, weight: Array, grou
     `value` is pose and velocity, or what the sensors report of them, shape (b, n, 2 dof); `slope` its
     derivatives, shape (b, n, 2 dof, m); the others as for `Simulator.products`.
     """
-    b, n, channels, m = slope.shape
-    unused = weight == 0
-    both = np.empty((b, n, channels, m + 1))
+    b, _, channels, m = slope.shape
+    rows, columns = np.nonzero((weight != 0).any(axis=0))
+    weights, groups = weight[:, rows, columns], group[:, rows]
+    both = np.empty((b, len(rows), m + 1))
     with np.errstate(over="ignore", invalid="ignore"):  # a run that diverges is reported as such
-        np.multiply(slope, weight[..., None], out=both[..., :m])
-        np.multiply(value - measured, weight, out=both[..., m])
-        both[unused] = 0.0
-        squares = np.sum(both[..., m] ** 2, axis=1)
-    groups = int(group.max(initial=0)) + 1
-    found = Products(np.zeros((b, groups, m + 1, m + 1)), squares, diverged=False)
+        np.multiply(slope[:, rows, columns], weights[..., None], out=both[..., :m])
+        np.multiply((value - measured)[:, rows, columns], weights, out=both[..., m])
+        if np.any(unused := weights == 0):
+            both[unused] = 0.0
+        errors = both[..., m] ** 2
+        squares = np.stack([errors[:, columns == c].sum(axis=1) for c in range(channels)], axis=1)
+    found = Products(np.zeros((b, int(group.max(initial=0)) + 1, m + 1, m + 1)), squares, diverged=False)
     if not (np.isfinite(value).all() and np.isfinite(squares).all() and np.isfinite(both).all()):
-        return Products(found.table, found.squares, diverged=True)
-    for g in range(groups):
-        inside = group == g
+        return replace(found, diverged=True)
+    for g in range(found.table.shape[1]):
+        inside = groups == g
         there = np.flatnonzero(inside.any(axis=0))
         if not there.size:
             continue
         span = slice(there[0], there[-1] + 1)
         part = both[:, span]
         if not inside[:, span].all():
-            part = np.where(inside[:, span, None, None], part, 0.0)
-        part = part.reshape(b, -1, m + 1)
+            part = np.where(inside[:, span, None], part, 0.0)
         with np.errstate(over="ignore", invalid="ignore"):
             found.table[:, g] = np.swapaxes(part, 1, 2) @ part
-    return Products(found.table, squares, diverged=not np.isfinite(found.table).all())
+    return replace(found, diverged=not np.isfinite(found.table).all())
 
 
 # --- calls of tangents.c --------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undertow.codegen.engine import Products, mapped, products_of
+from undertow.codegen.engine import Products, at_samples, products_of
 from undertow.codegen.functions import Functions
 from undertow.identification.logs.run import Run
 from undertow.typing import Array, Flags, Index, Integers
@@ -471,15 +471,31 @@ class Shooting:
         if self.predictor.ideal_sensors:
             return x[..., : self._size], s[..., : self._size, :].copy()
         b, k, nx = x.shape
-        columns = [x.reshape(b * k, nx), u.reshape(b * k, -1)]
-        y, by_x, by_p = mapped(self._report, columns, p, t.ravel())
-        slope = by_x @ s.reshape(b * k, nx, -1)
-        slope[:, :, : len(self.free)] += by_p
+        rows = [x.reshape(b * k, nx), u.reshape(b * k, -1), p, t.reshape(b * k, 1)]
+        y, by_x, by_p = at_samples(self._report, rows, b * k)
+        patterns = (self._report.sparsity_out(i) for i in (1, 2))
+        through, direct = (zip(a.row(), a.get_col(), strict=True) for a in patterns)
+        carried = s.reshape(b * k, nx, -1)
+        slope = carried[:, : self._size].copy()
+        slope[:, self._altered] = 0.0
+        for (i, j), factor in zip(through, by_x.T, strict=True):
+            if i in self._altered:
+                slope[:, i] += factor[:, None] * carried[:, j]
+        for (i, j), factor in zip(direct, by_p.T, strict=True):
+            slope[:, i, j] += factor
         return y.reshape(b, k, -1), slope.reshape(b, k, self._size, -1)
 
     @cached_property
+    def _altered(self) -> list[int]:
+        """Channels that are not reported as they are."""
+        f = self.functions
+        states = f.x[: self._size]
+        return [i for i in range(self._size) if not ca.is_equal(f.reported[i], states[i], 2)]
+
+    @cached_property
     def _report(self) -> ca.Function:
+        """Report, and its (sparse) derivatives in states and free parameters."""
         f = self.functions
         free = ca.vertcat(*[f.p[i] for i in self.places])
-        outputs = [f.reported, ca.jacobian(f.reported, f.x), ca.jacobian(f.reported, free)]
-        return ca.Function("report", [f.x, f.u, f.p, f.t], [ca.densify(o) for o in outputs])
+        slopes = [ca.sparsify(ca.jacobian(f.reported, variables)) for variables in (f.x, free)]
+        return ca.Function("report", [f.x, f.u, f.p, f.t], [ca.densify(f.reported), *slopes])

@@ -457,8 +457,9 @@ def values_in_runs(fit: Fitted, first_parts: Sequence[WeakData]) -> dict[str, fl
     """Values in runs that a fit was not fitted to, by names such as V_N@dive2, from their first parts."""
     found: dict[str, float] = {}
     names = list(fit.model.values.by_run)
+    model = WeakModel(fit.model.functions, names)
     for data in first_parts:
-        own = fit_weak(WeakModel(fit.model.functions, names), data, start=fit.values).values
+        own = fit_weak(model, data, start=fit.values).values
         found |= {value_name(name, data.runs[0].origin): own[name] for name in names}
     return found
 
