@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import undertow as ut
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
+from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from undertow.codegen.simulate import LONGEST_STEP
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import relative_squares
 from undertow.identification.estimation.predictor import Predictor, StartProblem, predict
 from undertow.identification.estimation.shooting import Shooting
+from undertow.identification.estimation.windows import SETTINGS as STEPS
 from undertow.identification.estimation.windows import (
     Prediction,
     cut,
@@ -393,3 +396,31 @@ def test_squares_of_the_pose_are_those_of_the_way_since_the_window_began() -> No
     np.testing.assert_allclose(squares[:, 1], 0.25 / np.nanmean(way**2), rtol=1e-9)
     assert np.mean(squares[:, 0]) == pytest.approx(0.01, rel=0.05)
     assert position_error(Prediction(windows, predicted)) == pytest.approx(0.5)
+
+
+# --- steps of the simulation ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["box-hull", "cybership2", "mini-auv", "bluerov2"])
+def test_steps_resolve_the_fastest_motion(name: str) -> None:
+    vehicle = ut.load_vehicle(name)
+    runs = _with_few_samples(vehicle)
+    resolving = STEPS.reach * time_constants(vehicle, runs)[0]
+    windows, predictor = cut(runs, vehicle, 10.0), Predictor(vehicle, compiled=False)
+    start, commands = predictor.start_and_commands(windows, predictor.values)
+    assert LONGEST_STEP <= commands.longest_step <= max(2.0 * resolving, LONGEST_STEP)
+    exact, usual, resolved = (
+        predictor.simulated(start, windows.t, replace(commands, longest_step=step), predictor.values)
+        for step in (LONGEST_STEP / 10, LONGEST_STEP, commands.longest_step)
+    )
+    # Where drag has a kink, steps of no length are exact.
+    errors = [np.max(np.abs(y - exact) / np.ptp(exact, axis=(0, 1))) for y in (usual, resolved)]
+    assert errors[1] < max(1e-5, 1.01 * errors[0])
+
+
+def _with_few_samples(vehicle: Vehicle) -> list[Run]:
+    """A run with a sample every half a second."""
+    size = 0.1 * vehicle.value_of("m").value
+    (run,) = simulated_runs(vehicle, 1, 60.0, seed=5, size=size, hold=20, noise=0.0)
+    kept = slice(None, None, 5)
+    return [replace(run, t=run.t[kept], channels={n: y[kept] for n, y in run.channels.items()})]
