@@ -24,6 +24,7 @@ from undertow.codegen.engine import (
     shares,
     unpacked,
 )
+from undertow.codegen.simulate import StepSettings
 
 RUNS = 11
 
@@ -102,7 +103,7 @@ def test_a_run_that_is_cut_short_is_the_same(c_compiler: Compiler, monkeypatch: 
     x0, t, u, p = batch(functions)
     runs = simulator(functions, 4, monkeypatch)
     at_once = runs.run(x0, t, u, p)
-    monkeypatch.setattr("undertow.codegen.simulate._STEPS_PER_CALL", 20)
+    monkeypatch.setattr("undertow.codegen.simulate.SETTINGS", StepSettings(per_call=20))
     assert np.array_equal(runs.run(x0, t, u, p), at_once)
 
 

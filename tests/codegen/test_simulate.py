@@ -169,7 +169,7 @@ def test_a_long_simulation_comes_back_to_python_unnoticed(
     x0, t, u = _batch(functions, 2, 30)
     simulator = Simulator(functions, compiled=compiled)
     whole = simulator.run_with_sensitivities(x0, t, u, p, [0, 1])
-    monkeypatch.setattr(simulate, "_STEPS_PER_CALL", 7)
+    monkeypatch.setattr(simulate, "SETTINGS", simulate.StepSettings(per_call=7))
     for a, b in zip(whole, simulator.run_with_sensitivities(x0, t, u, p, [0, 1]), strict=True):
         assert np.array_equal(a, b)
 

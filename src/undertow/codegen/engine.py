@@ -21,9 +21,24 @@ from .compiler import LANES, Bound, Compiler, compiled_or_virtual, library_for, 
 from .functions import Functions, solve_symmetric
 from .source import INSTRUCTIONS, c_file, engine_file, engine_source, integers, with_entry
 
-# Making a map costs time in proportion to its length; one of this length serves any number of samples.
-_CHUNK = 128
 _NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name in INSTRUCTIONS}
+
+
+@dataclass(frozen=True)
+class EngineSettings:
+    """Settings of loops over samples and runs."""
+
+    # Samples of a map of CasADi's: making one costs time in proportion to them, and it serves any number.
+    chunk: int = 128
+    few: int = 2  # so few runs are as fast one after the other as side by side
+    # Steps in the share of a thread: from a millisecond, which is worth a thread of its own, to the tenth of
+    # a second that Ctrl-C may wait.
+    steps_in_share: tuple[int, int] = (20_000, 1_000_000)
+    shares: int = 4  # for each thread, so that none waits long for the others
+    side_by_side: int = 8  # windows that are simulated in one share at least
+
+
+SETTINGS = EngineSettings()
 
 
 class TapeData(ctypes.Structure):
@@ -212,10 +227,10 @@ def mapped(function: ca.Function, columns: Sequence[Array], p: Array, t: Array) 
 # --- by the virtual machine -----------------------------------------------------------------------
 def _in_chunks(function: ca.Function, arguments: Sequence[Array], count: int) -> list[Array]:
     """What `at_samples` gives."""
-    bound = Bound(function, _CHUNK)
+    bound = Bound(function, SETTINGS.chunk)
     results = [np.zeros((count, a.shape[1])) for a in bound.outputs]
-    for first in range(0, count, _CHUNK):
-        here = min(_CHUNK, count - first)
+    for first in range(0, count, SETTINGS.chunk):
+        here = min(SETTINGS.chunk, count - first)
         for array, given in zip(bound.inputs, arguments, strict=True):
             array[:here] = given[first : first + here] if given.ndim > 1 else given
         bound.run()
@@ -265,13 +280,11 @@ class Stepper(Protocol):
 T = TypeVar("T")
 LANES_HEADER = c_file("lanes.h")
 _LIMIT = "UNDERTOW_JOBS"
-# So few runs are as fast one after the other.
-_FEW = 2
 
 
 def lanes_for(runs: int, lanes: int) -> int:
     """How many lanes a number of runs goes through."""
-    return 1 if runs <= _FEW else lanes
+    return 1 if runs <= SETTINGS.few else lanes
 
 
 def packed(array: Array, lanes: int) -> Array:
@@ -339,15 +352,9 @@ def in_threads(
 def shares(runs: int, work: float, threads: int | None, lanes: int) -> list[slice]:
     """Runs in shares of whole groups, each a fraction of a second and a few for every thread."""
     groups, wanted = -(-runs // lanes), threads or processors()
-    least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in _STEPS_IN_SHARE)
-    each = lanes * min(max(-(-groups // (_SHARES * wanted)), least), most)
+    least, most = (max(int(steps / max(work, 1) / lanes), 1) for steps in SETTINGS.steps_in_share)
+    each = lanes * min(max(-(-groups // (SETTINGS.shares * wanted)), least), most)
     return [slice(a, min(a + each, runs)) for a in range(0, runs, each)]
-
-
-# From a millisecond, which is worth a thread of its own, to the tenth of a second that Ctrl-C may wait.
-_STEPS_IN_SHARE = (20_000, 1_000_000)
-# For each thread, so that none waits long for the others.
-_SHARES = 4
 
 
 def defines(sizes: Iterable[tuple[str, int]]) -> str:
@@ -434,10 +441,6 @@ def model_source(functions: Functions) -> str:
     steps = form.prepare, form.hold, form.held_dynamics
     model = [plain_c(f, f.name(), prefix="static SEPARATE ", words=LANES) for f in steps]
     return "\n".join([defines(sizes.items()), *model])
-
-
-# Windows that are simulated in one share of a thread at least.
-_SIDE_BY_SIDE = 8
 
 
 @dataclass(frozen=True)
@@ -530,7 +533,7 @@ class Tangents:
 
         # Every derivative is carried along like a state.
         steps = float(problem.steps.sum(axis=1).max(initial=1)) * problem.wrt.size
-        in_threads(work, shares(b, steps, None, _SIDE_BY_SIDE), None)
+        in_threads(work, shares(b, steps, None, SETTINGS.side_by_side), None)
         if any(diverged) or not np.isfinite(found.table).all():
             return Products(found.table, found.squares, diverged=True)
         lower = np.tril_indices(width, -1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -34,15 +35,25 @@ from .engine import (
 )
 from .functions import Functions
 
-# Runge-Kutta steps (times runs) in one call; between calls Ctrl-C takes effect.
-_STEPS_PER_CALL = 200_000
-# Longest Runge-Kutta step where the caller knows nothing of the motion, s.
-LONGEST_STEP = 0.05
-# A decay by e^-0.7 in one Runge-Kutta step is right to a quarter of a percent; past 2.8 it is unstable.
-_REACH = 0.7
-# What is faster than that many steps in one of the longest can follow is slurred: a lag of milliseconds. That
-# is stable down to microseconds.
-_MOST_PARTS, _STABLE, _MOST_STEPS = 16, 2.0, 20_000
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Settings of the Runge-Kutta steps of simulations."""
+
+    per_call: int = 200_000  # steps (times runs) in one call; between calls Ctrl-C takes effect
+    longest: float = 0.05  # longest step where the caller knows nothing of the motion, s
+    # Time constants of friction and of states that effects own in a step: a decay by e^-0.7 in one step is
+    # right to a quarter of a percent; past 2.8 it is unstable.
+    reach: float = 0.7
+    # What is faster than that many steps in one of the longest can follow is slurred, such as a lag of
+    # milliseconds: then a step covers so many of its time constants. That is stable down to so many steps.
+    most_parts: int = 16
+    stable: float = 2.0
+    most_steps: int = 20_000
+
+
+SETTINGS = StepSettings()
+LONGEST_STEP = SETTINGS.longest
 
 
 class Simulator:
@@ -232,14 +243,14 @@ def longest_step(functions: Functions, max_step: float) -> float:
 def _longest(slopes: Array, max_step: float) -> Array:
     """The longest step, s, for each of the matrices of d(rates)/d(states)."""
     known = np.nan_to_num(slopes, posinf=0, neginf=0)
-    rates = np.full(len(known), _REACH / max_step)
+    rates = np.full(len(known), SETTINGS.reach / max_step)
     # No eigenvalue exceeds the norm: most runs need none worked out.
     stiff = np.abs(known).sum(axis=2).max(axis=1, initial=0.0) > rates
     rates[stiff] = np.maximum(rates[stiff], _fastest_decay(known[stiff]))
     usual = min(max_step, LONGEST_STEP)
-    longest = np.maximum(_REACH / rates, usual / _MOST_PARTS)
-    slurred = np.maximum(_STABLE / rates, usual / _MOST_STEPS)
-    return np.asarray(np.where(rates * longest <= _STABLE, longest, slurred))
+    longest = np.maximum(SETTINGS.reach / rates, usual / SETTINGS.most_parts)
+    slurred = np.maximum(SETTINGS.stable / rates, usual / SETTINGS.most_steps)
+    return np.asarray(np.where(rates * longest <= SETTINGS.stable, longest, slurred))
 
 
 def _fastest_decay(slopes: Array) -> Array:
@@ -251,7 +262,7 @@ def _fastest_decay(slopes: Array) -> Array:
 def _interruptions(problem: Problem) -> list[int]:
     """Samples at which a long simulation comes back to Python."""
     work = np.cumsum(problem.steps.max(axis=0, initial=1)) * len(problem.x)
-    limits = np.arange(_STEPS_PER_CALL, work[-1] if work.size else 0, _STEPS_PER_CALL)
+    limits = np.arange(SETTINGS.per_call, work[-1] if work.size else 0, SETTINGS.per_call)
     return [int(i) for i in np.searchsorted(work, limits)]
 
 

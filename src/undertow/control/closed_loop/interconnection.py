@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -220,13 +221,21 @@ def _aligned(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 # --- how long a sampling interval may be ---------------------------------------------------------------
-# Growth that counts as none, 1/s: rounding splits poles at zero (a cross-track error that nothing corrects).
-_NEUTRAL = 1e-4
-_SHORTEST, _LONGEST = 1e-4, 1e3
-# Both sets of parameters that differ by direction are looked at: this far to either side of rest.
-_CREEP = 1e-9
-# Longest Runge-Kutta step: s, and as a part of the fastest time constant (right to 0.1 % of its decay).
-_STEP, _REACH = 0.05, 0.5
+@dataclass(frozen=True)
+class SamplingSettings:
+    """Settings of the search for the longest sampling interval, and of the steps of a loop."""
+
+    # Growth that counts as none, 1/s: rounding splits poles at zero (a cross-track error that nothing
+    # corrects).
+    neutral: float = 1e-4
+    intervals: tuple[float, float] = (1e-4, 1e3)  # shortest and longest that are tried, s
+    # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
+    creep: float = 1e-9
+    longest_step: float = 0.05  # longest Runge-Kutta step, s,
+    reach: float = 0.5  # and as a part of the fastest time constant (right to 0.1 % of its decay)
+
+
+SETTINGS = SamplingSettings()
 
 
 class SampledLoop:
@@ -248,7 +257,7 @@ class SampledLoop:
         # The law at rest: beside it, the slope of a root would be that of nowhere else.
         y = np.concatenate([pose, np.zeros(len(pose))])
         u = np.asarray(parts.law(y, self._desired, states, parts.gains)[0]).ravel()
-        moving = np.concatenate([pose, np.full(len(pose), side * _CREEP)])
+        moving = np.concatenate([pose, np.full(len(pose), side * SETTINGS.creep)])
         x = parts.at_rest(moving[None], parts.parameters[None], u)[0]
         a, b = _jacobians(parts.dynamics, ("x", "u"), "x_dot", (x, u, parts.parameters, 0.0))
         (c,) = _jacobians(parts.outputs, ("x",), "y", (x, u, parts.parameters, 0.0))
@@ -282,11 +291,11 @@ class SampledLoop:
 
     def longest_interval(self) -> float:
         """The longest interval with which sampling destabilises nothing, s; infinite if unlimited."""
-        grid = np.geomspace(_SHORTEST, _LONGEST, 141)
+        grid = np.geomspace(*SETTINGS.intervals, 141)
         bad = next((i for i, dt in enumerate(grid) if not self.keeps_stability(float(dt))), None)
         if bad is None:
             return np.inf
-        low, high = (float(grid[bad - 1]), float(grid[bad])) if bad else (0.0, _SHORTEST)
+        low, high = (float(grid[bad - 1]), float(grid[bad])) if bad else (0.0, SETTINGS.intervals[0])
         for _ in range(40):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.keeps_stability(middle) else (low, middle)
@@ -297,18 +306,20 @@ class SampledLoop:
 
         That is one of the vehicle, as its commands are held, and of the whole loop where they are not.
         """
-        longest_step = min(_STEP, _REACH / self.fastest_rate(continuous))
+        longest_step = min(SETTINGS.longest_step, SETTINGS.reach / self.fastest_rate(continuous))
         return max(int(np.ceil(dt / longest_step - 1e-9)), 1)
 
     def fastest_rate(self, continuous: bool) -> float:
         """Magnitude of the fastest eigenvalue of the vehicle, or of the loop without sampling, 1/s."""
         own = [np.linalg.eigvals(side[0]) for side in self._sides]
         rates = [self.continuous_rates(side) for side in (0, 1)] if continuous else own
-        return max(float(np.abs(np.concatenate(rates)).max(initial=0.0)), _REACH / _STEP)
+        return max(
+            float(np.abs(np.concatenate(rates)).max(initial=0.0)), SETTINGS.reach / SETTINGS.longest_step
+        )
 
 
 def _unstable_count(rates: np.ndarray) -> int:
-    return int((rates.real > _NEUTRAL).sum())
+    return int((rates.real > SETTINGS.neutral).sum())
 
 
 def _jacobians(function: ca.Function, by: tuple[str, ...], of: str, point: tuple) -> list[np.ndarray]:

@@ -18,11 +18,20 @@ if TYPE_CHECKING:
     from .stepping import Rows
 
 
-# Part of the run that is looked at, and of its greatest swing that a crossing must leave behind to count.
-_TAIL, _HYSTERESIS = 0.6, 0.1
-_FEWEST = 3
-# Change of the amplitude from cycle to cycle that counts as none, and scatter of a period that still is one.
-_STEADY, _REGULAR = 0.01, 0.1
+@dataclass(frozen=True)
+class MeasureSettings:
+    """Settings of what is measured of a simulated loop."""
+
+    oscillating: float = 0.6  # part of the run, its end, that an oscillation is sought in
+    hysteresis: float = 0.1  # part of the greatest swing that a crossing must leave behind to count
+    fewest: int = 3  # cycles
+    steady: float = 0.01  # change of the amplitude from cycle to cycle that counts as none
+    regular: float = 0.1  # scatter of a period that still is one
+    band: float = 0.02  # of a step, in which it has settled
+    tail: float = 0.1  # part of the run, its end, over which the remaining error is measured
+
+
+SETTINGS = MeasureSettings()
 
 
 @dataclass(frozen=True)
@@ -39,24 +48,24 @@ class Cycle:
 
 def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
     """The oscillation in the last three fifths of a run, if there is one of this amplitude at least."""
-    tail = t >= t[-1] - _TAIL * (t[-1] - t[0])
+    tail = t >= t[-1] - SETTINGS.oscillating * (t[-1] - t[0])
     t, error = t[tail], error[tail]
     if len(t) < 8 or not np.isfinite(error).all():
         return None
     middle = 0.5 * (error.max() + error.min())
     swing = error - middle
-    rising = _rising(swing, _HYSTERESIS * np.abs(swing).max())
-    if len(rising) <= _FEWEST:
+    rising = _rising(swing, SETTINGS.hysteresis * np.abs(swing).max())
+    if len(rising) <= SETTINGS.fewest:
         return None
     times = t[rising] - swing[rising] * (t[rising + 1] - t[rising]) / (swing[rising + 1] - swing[rising])
     amplitudes = np.array([np.ptp(swing[a:b]) / 2 for a, b in pairwise(rising)])
     periods = np.diff(times)
     spread = float(periods.std())
-    if amplitudes[-1] < least or spread > _REGULAR * periods.mean():
+    if amplitudes[-1] < least or spread > SETTINGS.regular * periods.mean():
         return None
     growth = (amplitudes[-1] / amplitudes[0]) ** (1 / (len(amplitudes) - 1)) - 1
     kind: Literal["limit cycle", "growing", "decaying"] = "growing" if growth > 0 else "decaying"
-    if abs(growth) < _STEADY:
+    if abs(growth) < SETTINGS.steady:
         kind = "limit cycle"
     return Cycle(kind, float(amplitudes[-2:].mean()), float(periods.mean()), spread, len(periods))
 
@@ -71,8 +80,6 @@ def _rising(swing: np.ndarray, threshold: float) -> np.ndarray:
     return np.unique(below[indices[indices >= 0]])
 
 
-BAND = 0.02
-TAIL = 0.1
 _FULL_TURN = 2 * math.pi
 ALONG, CROSS = "along track", "cross track"
 
@@ -182,7 +189,7 @@ class _Error:
     """Accumulated measures of one coordinate; `turn` is its period."""
 
     def __init__(self, move: float, turn: float) -> None:
-        self.move, self.band, self._turn = move, BAND * abs(move), turn
+        self.move, self.band, self._turn = move, SETTINGS.band * abs(move), turn
         self.settling: float | None = 0.0
         self.least, self.most, self.final = math.inf, -math.inf, move
         self.tail: list[np.ndarray] = []
@@ -269,7 +276,7 @@ class Measures:
         if count:
             errors = self._errors_from(self._goal, rows.x[:count])
             for name, error in errors.items():
-                self._errors[name].add(t[:count], error, (1 - TAIL) * self._scenario.duration)
+                self._errors[name].add(t[:count], error, (1 - SETTINGS.tail) * self._scenario.duration)
             passed = np.flatnonzero(rows.s[:count, -1] > 0)
             if self.gate is None and passed.size:
                 self.gate = float(t[passed[0]])
@@ -301,7 +308,7 @@ class Measures:
         tail = np.concatenate(e.tail) if e.tail else np.array([])
         tail = (tail if tail.size else np.array([e.final])) + _FULL_TURN * turns
         moved = self.diverged is None and e.move != 0
-        in_band = e.settling is not None and e.settling <= (1 - TAIL) * self._scenario.duration
+        in_band = e.settling is not None and e.settling <= (1 - SETTINGS.tail) * self._scenario.duration
         return CoordinateResult(
             name,
             MOTION_UNITS.get(name, "m"),

@@ -73,7 +73,17 @@ def _integral_at(t: Array, total: Array, held: Array, when: Array) -> Array:
     return total[index] + held[index] * (when - t[index])[:, None]
 
 
-_SUBSTEPS = 4
+@dataclass(frozen=True)
+class StateSettings:
+    """Settings of the integration of states that effects own."""
+
+    substeps: int = 4  # in an interval between samples, an even number: means are by Simpson's rule
+    # Where quotients of exponential steps lose digits, in time constants, and terms of their series there.
+    near: float = 0.5
+    terms: int = 9
+
+
+SETTINGS = StateSettings()
 Rate = Callable[[ca.SX, float], ca.SX]
 
 
@@ -189,14 +199,15 @@ def _integrated(rate: Rate, output: Rate, z: ca.SX, dt: ca.SX) -> tuple[ca.SX, c
 
     A time constant may be far shorter than the interval: classical Runge-Kutta would grow without bound.
     """
-    h, share = dt / _SUBSTEPS, 1.0 / _SUBSTEPS
+    count = SETTINGS.substeps
+    h, share = dt / count, 1.0 / count
     mean = output(z, 0.0)
-    for step in range(_SUBSTEPS):
+    for step in range(count):
         decay, rest = _without_decay(_part_of(rate, step * share, share), z)
         z = _exponential_step(rest, decay, z, h)
-        weight = 1 if step == _SUBSTEPS - 1 else 4 if step % 2 == 0 else 2
+        weight = 1 if step == count - 1 else 4 if step % 2 == 0 else 2
         mean = mean + weight * output(z, (step + 1) * share)
-    return z, mean / (3 * _SUBSTEPS)
+    return z, mean / (3 * count)
 
 
 def _part_of(rate: Rate, begin: float, share: float) -> Rate:
@@ -239,17 +250,14 @@ def _exponential_step(rest: Rate, decay: ca.SX, z: ca.SX, h: ca.SX) -> ca.SX:
     return z * fades + h * (weighted + (4 * three - two) * end)
 
 
-_NEAR, _TERMS = 0.5, 9  # where the quotients below lose digits, and terms of their series there
-
-
 def _phi(x: ca.SX) -> list[ca.SX]:
     """(exp x - 1) / x and the next two of its kind, for x not positive."""
-    near = x > -_NEAR
+    near = x > -SETTINGS.near
     far, close = ca.if_else(near, -1.0, x), ca.if_else(near, x, 0.0)
     quotient, found = ca.exp(far), []
     for order in (1, 2, 3):
         quotient = (quotient - 1.0 / factorial(order - 1)) / far
-        series = sum(close**k / factorial(k + order) for k in range(_TERMS))
+        series = sum(close**k / factorial(k + order) for k in range(SETTINGS.terms))
         found.append(ca.if_else(near, series, quotient))
     return found
 

@@ -341,7 +341,7 @@ class Predictor:
         return np.column_stack([found.motion if motion is None else motion, found.own]), commands
 
     def _resolving_step(self, windows: Windows, p: Array) -> float:
-        """Longest Runge-Kutta step in these windows, s, by the first parameters that they are simulated with."""
+        """Longest Runge-Kutta step in these windows, s, for the first parameters they are simulated with."""
         if self._resolved[0] is not windows.segments:
             self._resolved = windows.segments, resolving_step(self.functions, windows, p)
         return self._resolved[1]

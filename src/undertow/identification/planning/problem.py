@@ -36,6 +36,9 @@ class PlanningSettings:
 
     unknown_sigma: float = 100.0  # prior of a parameter of which nothing is known, in units of its size
     unknown: float = 0.3  # it counts as unknown as long as its standard error is this share of that prior
+    badly_known: float = 0.3  # so is one with a standard error above this share of its value
+    # A manoeuvre determines a parameter whose error it brings below this share of what it was.
+    determined: float = 0.3
     remarked: float = 1.5  # factor by which errors exceed those of noise alone from which on a remark says so
     # From this factor on fitted values make up for what is missing: those of the vehicle file are better.
     misfit: float = 5.0
@@ -590,12 +593,6 @@ class Plan(ResultTable):
     long_logs: LongLogs | None = None
 
 
-# A parameter is badly known with a standard error above this share of its value.
-_BADLY_KNOWN = 0.3
-# A manoeuvre that brings an error below this share of what it was does determine the parameter.
-_DETERMINED = 0.3
-
-
 def commands_of(problem: PlanningProblem, manoeuvre: Manoeuvre) -> list[PlannedCommand]:
     """Every command with its limit, and its range in the manoeuvre."""
     return [
@@ -645,8 +642,8 @@ def _planned_parameter(
 ) -> PlannedParameter:
     parameter, value = vehicle.declaration(name), vehicle.value_of(name).value
     # Where the manoeuvre adds nothing to the prior, the error is that of the prior.
-    undetermined = undetermined and not then < _DETERMINED * now
-    badly_known = not then < _BADLY_KNOWN * abs(value)
+    undetermined = undetermined and not then < SETTINGS.determined * now
+    badly_known = not then < SETTINGS.badly_known * abs(value)
     verdict = "not determined" if undetermined else "badly known" if badly_known else ""
     return PlannedParameter(
         name=name,
