@@ -22,6 +22,8 @@ from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.identification.long_logs.choosing import (
+    FIT,
+    SEARCH,
     Budget,
     at_full_rate,
     choose,
@@ -202,10 +204,15 @@ def test_information_that_no_stretch_has_is_not_counted() -> None:
     assert sorted(choice.places) == list(range(len(every)))
 
 
+def test_a_search_takes_fewer_samples_as_they_are_than_a_fit(tmp_path: Path) -> None:
+    path = written(surge(dull_but_for([], 120_000), drag=-20.0), tmp_path / "a.parquet")
+    assert [too_long([long_log(path)], budget.whole) for budget in (SEARCH, FIT)] == [True, False]
+
+
 def test_the_stretches_that_move_are_taken_and_the_fit_is_the_truth(vehicle: Vehicle, tmp_path: Path) -> None:
     active = [slice(40_000, 52_000), slice(150_000, 165_000), slice(301_000, 316_000)]
     path = written(surge(dull_but_for(active, 400_000), drag=-20.0), tmp_path / "a.parquet")
-    assert too_long([long_log(path)])
+    assert too_long([long_log(path)], FIT.whole)
     chosen = choose(vehicle, [long_log(path)], budget=SMALL)
     times = np.concatenate([run.t for run in chosen.runs]) * RATE
     moving = np.any([(times > a.start) & (times < a.stop + 500) for a in active], axis=0)

@@ -38,12 +38,13 @@ class Budget:
     work: int
     validation: int = 0  # none: the command does not validate
     raw: bool = False  # whether they count before decimation: a check of the sensors needs every row
+    whole: int = MEASURABLE.samples  # logs of so many samples are used as they are
 
 
 #: On two processors and in six degrees of freedom, 12,000 samples are fitted in 25 s.
 FIT = Budget(12_000, 4_000)
-#: A search fits some forty candidates, several times: 8,000 samples take it a minute.
-SEARCH = Budget(6_000, 2_000)
+#: A search fits some forty candidates, several times: 8,000 samples take it a minute, 100,000 real ones ten.
+SEARCH = Budget(6_000, 2_000, whole=100_000)
 #: Pictures and tables of a model as it is, or a plan.
 LOOK = Budget(20_000)
 #: An examination of logs: clocks, sensors and units, at the rate at which they were logged.
@@ -73,7 +74,7 @@ class CuttingSettings:
 CUTTING = CuttingSettings()
 
 
-def too_long(logs: Sequence[LongLog], most: int = MEASURABLE.samples) -> bool:
+def too_long(logs: Sequence[LongLog], most: int) -> bool:
     """Tell whether logs have more than `most` samples; nothing of them is kept in memory."""
     estimated = sum(_size(log)[0] / log.mapping.time.every for log in logs)
     if estimated <= CUTTING.estimate * most:
