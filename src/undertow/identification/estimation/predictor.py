@@ -83,12 +83,18 @@ class InternalStates:
         self.size = functions.memory.shape[0] + functions.actuator_states.shape[0]
 
     def at_starts(
-        self, windows: Windows, motion: Array, delay: float, p: Array, near: SegmentStart | None = None
+        self,
+        windows: Windows,
+        motion: Array,
+        delay: float,
+        p: Array,
+        near: SegmentStart | None = None,
+        longest_step: float = LONGEST_STEP,
     ) -> tuple[Array, SegmentStart | None]:
         """Memory and actuator states at the start of every window, (b, size), and where the segments begin.
 
         `motion` (b, 2n) is the true one at the starts; commands arrive `delay` s late. From what was found at
-        parameters close by, `near`, it is one step.
+        parameters close by, `near`, it is one step. `longest_step` is that of the simulation, s.
         """
         own = np.zeros((len(windows), self.size))
         if self.size == 0:
@@ -96,7 +102,7 @@ class InternalStates:
         segments = _segments(windows)
         first = np.array([rows[0] for rows in segments])
         opening = _first_windows(windows, first)
-        commands = delayed_commands(opening, delay)
+        commands = replace(delayed_commands(opening, delay), longest_step=longest_step)
         command_logs = zip(windows.runs, windows.held, strict=True)
         delayed = [shifted_mean(run.t, u, delay) if delay else u for run, u in command_logs]
         rest = self._at_rest(commands.u[:, 0], opening.t[:, 0], p)
@@ -366,7 +372,8 @@ class Predictor:
             origin = None if near is None else self._start_states(windows, near).origin
             delay = self._delay(p)
             motion = self.measured_motion(windows, (commands or delayed_commands(windows, delay)).u, p)
-            own, origin = self._own_states.at_starts(windows, motion, delay, p, origin)
+            step = self._resolving_step(windows, p)
+            own, origin = self._own_states.at_starts(windows, motion, delay, p, origin, step)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             if near is None:  # the linearised problem is large: that of the last parameters alone is kept
