@@ -43,8 +43,8 @@ class Budget:
 
 #: On two processors and in six degrees of freedom, 12,000 samples are fitted in 25 s.
 FIT = Budget(12_000, 4_000)
-#: A search fits some forty candidates, several times: 8,000 samples take it a minute, 51,000 of a real log took
-#: 330 s of one processor.
+#: A search fits some forty candidates, several times: 8,000 samples take it a minute, 51,000 of a real log
+#: took 330 s of one processor.
 SEARCH = Budget(6_000, 2_000, whole=100_000)
 #: Pictures and tables of a model as it is, or a plan.
 LOOK = Budget(20_000)
