@@ -19,7 +19,7 @@ import casadi as ca
 from undertow.codegen.compiler import plain_c
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import Entry, describe
-from undertow.codegen.simulate import longest_step
+from undertow.codegen.simulate import LONGEST_STEP, longest_step
 from undertow.codegen.spelling import comment, fill, identifier, slug
 from undertow.model.effect import Measurement
 from undertow.model.symbols import FORCE, FORCE_UNITS
@@ -38,7 +38,7 @@ class FmuSettings:
 
     # Longest Runge-Kutta step of co-simulation, s; that of `undertow simulate`. Lags that are quicker shorten
     # it at the export.
-    max_step: float = 0.05
+    max_step: float = LONGEST_STEP
     # stop_time, communication_step: default experiment, s
     stop_time: float = 10.0
     communication_step: float = 0.05

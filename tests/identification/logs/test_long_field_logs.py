@@ -104,7 +104,7 @@ def test_a_log_too_long_for_a_fit_is_fitted_in_stretches(
 ) -> None:
     monkeypatch.chdir(place)
     monkeypatch.setenv("COLUMNS", "300")
-    monkeypatch.setattr(choosing, "MEASURABLE", replace(choosing.MEASURABLE, samples=500))
+    monkeypatch.setattr(choosing, "FIT", replace(choosing.FIT, whole=500))
     assert main(["fit", "rov.toml", "dive.bin", "--method", "weak"]) == 0
     out = capsys.readouterr().out
     assert "dive.bin: read as ArduPilot DataFlash" in out

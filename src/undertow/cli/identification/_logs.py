@@ -253,7 +253,7 @@ class ReadOptions:
                 for paths in (logs, holdout)
             )
         long = [*work, *validation]
-        most = min(budget.whole, choosing.MEASURABLE.samples)
+        most = budget.whole
         if not to_fit:
             most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:

@@ -88,8 +88,8 @@ class InternalStates:
         motion: Array,
         delay: float,
         p: Array,
+        longest_step: float,
         near: SegmentStart | None = None,
-        longest_step: float = LONGEST_STEP,
     ) -> tuple[Array, SegmentStart | None]:
         """Memory and actuator states at the start of every window, (b, size), and where the segments begin.
 
@@ -373,7 +373,7 @@ class Predictor:
             delay = self._delay(p)
             motion = self.measured_motion(windows, (commands or delayed_commands(windows, delay)).u, p)
             step = self._resolving_step(windows, p)
-            own, origin = self._own_states.at_starts(windows, motion, delay, p, origin, step)
+            own, origin = self._own_states.at_starts(windows, motion, delay, p, step, origin)
             if len(recent) >= SETTINGS.kept:
                 recent.pop(next(iter(recent)), None)
             if near is None:  # the linearised problem is large: that of the last parameters alone is kept
