@@ -291,18 +291,22 @@ def test_what_windows_inherit_is_that_of_these_parameters_whatever_was_asked_bef
 
 @pytest.mark.slow
 def test_the_slope_of_what_windows_inherit_is_found_from_close_by() -> None:
-    """Searched from the states of parameters close by, it is that between two searches from rest."""
-    case = make_case("usv", ("thruster_lag",), 2, duration=20.0, runs=("steps",))
-    lagged = with_effect(true_vehicle(case), "thruster_lag", T_lag=0.5)
+    """Searched from the states of parameters close by, it is that between two searches from rest.
+
+    A Gauss-Newton step leaves out curvature times residual: the model is the true one, the noise small.
+    """
+    case = make_case("usv", ("thruster_lag",), 2, duration=20.0, runs=("steps",), noise=0.01)
+    lag = case.truth["values"]["thruster_lag"]["T"]
+    lagged = with_effect(true_vehicle(case), "thruster_lag", T_lag=lag)
     windows, p = cut(runs_of(case), lagged, 5.0), Predictor(lagged).values
-    step = 1e-3 * p * (np.array(Predictor(lagged).functions.parameter_names) == "T_lag")
+    step = 1e-2 * p * (np.array(Predictor(lagged).functions.parameter_names) == "T_lag")
 
     def slope(near: np.ndarray | None) -> np.ndarray:
         ends = [Predictor(lagged).start_and_commands(windows, p + s, None, near)[0] for s in (step, -step)]
         return (ends[0] - ends[1])[:, 6:] / (2.0 * np.max(step))
 
     assert np.max(np.abs(slope(None))) > 0.1
-    np.testing.assert_allclose(slope(p), slope(None), atol=0.01 * np.max(np.abs(slope(None))))
+    np.testing.assert_allclose(slope(p), slope(None), atol=0.02 * np.max(np.abs(slope(None))))
 
 
 def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:
