@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
@@ -15,7 +16,11 @@ from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import cramer_rao, verdicts
 from undertow.identification.estimation.output_error import fit_output_error
-from undertow.identification.estimation.prediction_error import PredictionErrorFit, fit_prediction_error
+from undertow.identification.estimation.prediction_error import (
+    PredictionErrorFit,
+    fit_prediction_error,
+    refit_by_prediction_error,
+)
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 
@@ -106,6 +111,26 @@ def test_three_degrees_of_freedom_with_pose_and_an_own_state() -> None:
     assert isinstance(fit, PredictionErrorFit)
     # Two runs: no window goes on from the end of one to the start of the other.
     assert int(np.sum(fit.innovations.window == 0)) == 12
+
+
+def test_the_noise_of_a_filtered_record_is_that_of_the_greatest_likelihood() -> None:
+    """The low-pass filter trades white for slow disturbances: steps that overshoot would go to and fro."""
+    run = logged(0, "walk")
+    slow = Run("filtered", run.t, {**run.channels, "u": lfilter([0.2], [1.0, -0.8], run.channels["u"])})
+    fit = fit_prediction_error(VEHICLE, [slow])
+    assert fit.iterations < 30
+    again = refit_by_prediction_error(fit, [slow], near=fit)
+    assert _deviance(again) == pytest.approx(_deviance(fit), abs=1.0)
+    white, wander = fit.noise.intensity[1:]
+    for other in ((1.5 * white, wander), (white, wander / 1.5)):
+        noise = replace(fit.noise, intensity=np.array([0.0, *other]))
+        moved = refit_by_prediction_error(fit, [slow], near=replace(fit, noise=noise))
+        assert _deviance(moved) == pytest.approx(_deviance(fit), abs=1.0)
+
+
+def _deviance(fit: PredictionErrorFit) -> float:
+    """Minus twice the log likelihood, but for a constant."""
+    return float(np.sum(fit.innovations.table[:, 0] ** 2) + np.sum(fit.innovations.log_variance))
 
 
 def test_a_pose_alone_is_enough() -> None:

@@ -148,7 +148,13 @@ class ChainedWindows:
         shooting, predictor = self._shooting, self._predictor
         start, commands = predictor.start_and_commands(self.windows, p, starts)
         every = predictor.simulator.run_with_sensitivities(
-            start, commands.t, commands.held, p, shooting.places, initial=range(self._size)
+            start,
+            commands.t,
+            commands.held,
+            p,
+            shooting.places,
+            initial=range(self._size),
+            max_step=commands.longest_step,
         )
         x, s = map(commands.at_samples, every)
         reported, slope = shooting.report_slopes(x, s, commands.u, self.windows.t, p)
@@ -161,7 +167,8 @@ class ChainedWindows:
     def _reports_and_ends(self, p: Array, starts: Array, near: Array) -> Array:
         """Reports of every window, and as a last row its end, shape (b, k + 1, 2n)."""
         start, commands = self._predictor.start_and_commands(self.windows, p, starts, near)
-        x = commands.at_samples(self._predictor.simulator.run(start, commands.t, commands.held, p))
+        run, longest = self._predictor.simulator.run, commands.longest_step
+        x = commands.at_samples(run(start, commands.t, commands.held, p, max_step=longest))
         reported = self._predictor.reported(x, self.windows.t, commands.u, p)
         return np.concatenate([reported, x[:, -1:, : self._size]], axis=1)
 
@@ -348,8 +355,9 @@ class PredictionErrorSettings:
     # Process noise over the interval between samples that the noise of a velocity hides entirely, as a share
     # of it.
     least_process_noise: float = 1e-6
-    # Process noise that is too strong falls slowly from step to step: it goes further, but not by leaps.
-    overshoot: float = 2.0
+    # Powers of the change of the noise, tried in turn until the likelihood does not fall: process noise that
+    # is too strong falls slowly from step to step, and components that depend on each other may overshoot.
+    noise_shares: tuple[float, ...] = (2.0, 1.0, 0.5, 0.2, 0.05)
     largest_change: tuple[float, float] = (0.05, 20.0)
     # Time over which slow and white process noise do the same before anything is known of them, s.
     slow_seconds: float = 3.0
@@ -589,8 +597,7 @@ class _Search:
             before = self._cost(state)
             smooth = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.innovations)
             state, predicted = self._stepped(state, smooth)
-            self._update_noise(smooth)
-            state = replace(state, innovations=self._filtered(state.linear, self._noise))
+            state = self._with_likelier_noise(state, smooth)
             if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
         sensor_noise = self._with_initial_std(replace(self._noise, intensity=0.0 * self._noise.intensity))
@@ -636,18 +643,35 @@ class _Search:
         cost = self._space.cost(state.p, deviance)
         return cost if np.isfinite(cost) else np.inf
 
-    def _update_noise(self, smooth: Smoothed) -> None:
-        """Bring the noise nearer to its most likely value.
+    def _with_likelier_noise(self, state: _State, smooth: Smoothed) -> _State:
+        """The state with noise nearer to its most likely value.
 
         The sum of squares over its effective degrees of freedom has its fixed point at the maximum
         likelihood, which is reached much faster than by expectation and maximisation.
         """
-        known = self._noise.intensity
-        ratio = _mean_per_term(smooth.disturbance, 1e-9, known) / np.where(known > 0, known, 1.0)
-        intensity = known * np.clip(ratio, *SETTINGS.largest_change) ** SETTINGS.overshoot
-        intensity = np.where(self._noise.intensity > 0, np.maximum(intensity, self._least), 0.0)
-        variance = np.maximum(_mean_per_term(smooth.errors, 1.0, self._noise.variance), self._least_variance)
-        self._noise = self._with_initial_std(replace(self._noise, variance=variance, intensity=intensity))
+        limit = self._cost(state)
+        for share in SETTINGS.noise_shares:
+            noise = self._changed_noise(smooth, share)
+            after = replace(state, innovations=self._filtered(state.linear, noise))
+            if self._cost(after) <= limit:
+                self._noise = noise
+                return after
+        return state
+
+    def _changed_noise(self, smooth: Smoothed, share: float) -> Noise:
+        """The noise changed by a power of the ratio to what it should be."""
+        intensity, variance = self._noise.intensity, self._noise.variance
+        matched = _mean_per_term(smooth.disturbance, 1e-9, intensity)
+        ratio = matched / np.where(intensity > 0, intensity, 1.0)
+        changed = intensity * np.clip(ratio, *SETTINGS.largest_change) ** share
+        sensors = variance * (_mean_per_term(smooth.errors, 1.0, variance) / variance) ** min(share, 1.0)
+        return self._with_initial_std(
+            replace(
+                self._noise,
+                variance=np.maximum(sensors, self._least_variance),
+                intensity=np.where(intensity > 0, np.maximum(changed, self._least), 0.0),
+            )
+        )
 
 
 def _mean_per_term(sums: Array, least: float, known: Array) -> Array:
