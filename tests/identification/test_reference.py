@@ -91,6 +91,18 @@ def test_a_disturbance_is_none_of_the_signals(memory: float) -> None:
     assert 0.02 < found.disturbance_rms < 0.06
 
 
+@pytest.mark.parametrize("durations", [(5.0, 30.0), (8.0, 30.0), (30.0, 5.0), (30.0, 8.0)])
+def test_the_force_of_a_short_log_is_averaged_over_what_it_has(durations: tuple[float, float]) -> None:
+    """Noise alone, which longer averages never exceed; one of the logs has no room for them."""
+    fit, aside = _split(
+        surge_vehicle(), [surge_run(i, 0.0, 1.0, seconds) for i, seconds in enumerate(durations)]
+    )
+    (found,) = predictable(fit, fit.data, aside)
+    assert np.isfinite(found.residual_rms)
+    assert 0.0 < found.averaged_over < min(durations)
+    assert not found.significant
+
+
 # --- two floors -------------------------------------------------------------------------------------
 @pytest.mark.parametrize(("rms", "memory"), [(0.02, 0.5), (0.1, 2.0)])
 def test_a_disturbance_has_a_size_and_a_memory(rms: float, memory: float) -> None:

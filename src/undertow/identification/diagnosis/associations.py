@@ -641,8 +641,9 @@ class Clock:
 
     @property
     def step(self) -> float:
-        """Time from one test function to the next, s."""
-        return float(np.median(np.diff(self.t)))
+        """Time from one test function to the next, s; of a single one, from the start to its middle."""
+        steps = np.diff(self.t) if len(self.t) > 1 else self.t - self.start
+        return float(np.median(steps))
 
     def blocks(self, seconds: float) -> Index:
         """Index of the time block of each entry; blocks never span two pieces."""

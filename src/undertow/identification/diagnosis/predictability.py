@@ -293,10 +293,14 @@ class _Force:
         self._width = self._averaging_width()
 
     def _averaging_width(self) -> int:
-        """Number of test functions to average over, from which the force exceeds the noise."""
-        for width in SETTINGS.widths:
+        """Number of test functions to average over: from there on the force exceeds the noise.
+
+        In short logs it is the longest that training and validation data have room for.
+        """
+        room = min(max(len(part.r) for part in row.parts) for row in self._rows)
+        for width in (w for w in SETTINGS.widths if w <= max(room, 1)):
             force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
-            if not len(force) or np.mean(force**2) > SETTINGS.detectable_ratio * np.mean(variance):
+            if np.mean(force**2) > SETTINGS.detectable_ratio * np.mean(variance):
                 break
         return width
 
@@ -368,13 +372,16 @@ class _Force:
         )
 
     def _share(self, before: Array, after: Array) -> _Share:
-        """Share of the mean square that is predicted, with its interval from independent blocks."""
+        """Share of the mean square that is predicted, with its interval from independent blocks.
+
+        A single block says nothing about it.
+        """
         validation, number = self.validation, _blocks(self.validation, self._logs[1])
         whole, fall = (np.bincount(number, a) for a in (validation.force**2, before**2 - after**2))
         total, others = max(float(np.sum(whole)), 1e-300), max(len(whole) - 1, 1)
         share = float(np.sum(fall)) / total
         error = float(np.sqrt(len(whole) / others * np.sum((fall - share * whole) ** 2))) / total
-        reach = float(student.ppf(0.5 + SETTINGS.level / 2, others)) * error
+        reach = float(student.ppf(0.5 + SETTINGS.level / 2, others)) * error if len(whole) > 1 else 1.0
         low, middle, high = np.clip([share - reach, share, share + reach], 0.0, 1.0).tolist()
         left = min(float(np.mean(before**2)), float(np.mean(after**2)))
         return _Share(middle, (low, high), left)

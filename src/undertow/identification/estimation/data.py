@@ -457,7 +457,8 @@ class WeakData:
         """Length of blocks, s, between which a series (K,) by test function is uncorrelated, if there are
         enough of them.
         """
-        step = float(np.median(np.diff(self.time[:: len(self.rows)])))
+        steps = np.diff(self.time[:: len(self.rows)])
+        step = float(np.median(steps)) if len(steps) else 0.0  # a single value is correlated with none
         seconds = CLUSTERS.cluster_lengths * correlation_length(series) * step
         return min(max(self.block_seconds, seconds), self.seconds / CLUSTERS.fewest)
 
