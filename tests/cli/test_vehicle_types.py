@@ -192,6 +192,26 @@ def test_a_type_has_the_motions_that_are_asked_for(capsys: Capture, tmp_path: Pa
     assert message in refusal([*words("asv"), "--dof", "surge,heave"], capsys, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("kind", "dof", "names"),
+    [
+        ("glider", "surge,heave,pitch", ()),
+        ("glider", "heave,pitch", ()),
+        ("torpedo", "surge,yaw", ("propeller", "rudder")),
+        ("torpedo", "surge,heave,pitch", ("propeller", "stern_plane")),
+        ("rov6", "surge,yaw", ("h1", "h2", "h3", "h4")),
+        ("ship", "surge", ("propeller", "rudder")),
+    ],
+)
+def test_a_file_has_the_commands_that_act_in_the_motions_that_are_asked_for(
+    kind: str, dof: str, names: tuple[str, ...]
+) -> None:
+    """Every command of a vehicle is required of its logs; the rudder of a ship brakes it, too."""
+    assert main([*words(kind), "--dof", dof, "--out", "my.toml"]) == 0
+    vehicle = load_vehicle("my.toml")
+    assert vehicle.command_names == names
+
+
 @pytest.mark.parametrize(("mass", "what"), [(5, "rises"), (70, "sinks")])
 def test_a_mass_that_no_hull_of_the_dimensions_has_is_refused(
     mass: float, what: str, capsys: Capture, tmp_path: Path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -253,6 +253,10 @@ class EffectTable:
     entries: list[str]
     comments: tuple[str, ...] = ()
 
+    def is_of(self, hardware: Hardware) -> bool:
+        """Whether it has a value of a thruster, rudder or fin."""
+        return any(entry.split(" ")[0].endswith(f"_{hardware.name}") for entry in self.entries)
+
 
 @dataclass(frozen=True)
 class Hardware:
@@ -263,6 +267,11 @@ class Hardware:
     direction: tuple[float, float, float]  # of its force for a positive command
     source: str
     at_rest: bool = True  # whether it pushes at rest, a unit per unit of its command
+
+    def acts_in(self, degrees_of_freedom: Iterable[str]) -> bool:
+        """Whether its force, or the moment of that about the origin, drives one of some motions."""
+        wrench = (*self.direction, *np.cross(self.position, self.direction))
+        return any(wrench[DOFS.index(motion)] for motion in degrees_of_freedom)
 
 
 def hull_vehicle(hull: Mesh, added: AddedMass, spec: HullSpec, tested: Sequence[EffectTable] = ()) -> str:
@@ -316,10 +325,11 @@ def vehicle_text(
         source=_quoted(source),
         degrees_of_freedom=[_quoted(d) for d in degrees_of_freedom],
         water_density=_quoted(f"{density:g} kg/m^3"),
-        forces=[_quoted(f"tau_{FORCE[DOFS.index(d)]}") for d in degrees_of_freedom],
-        hardware=hardware,
+        forces=[] if hardware else [_quoted(f"tau_{FORCE[DOFS.index(d)]}") for d in degrees_of_freedom],
     )
-    return str(render(effects=_of_its_motions(tables, render(effects=tables)))).rstrip() + "\n"
+    left = _of_its_motions(tables, render(effects=tables, hardware=hardware))
+    acting = [h for h in hardware if h.acts_in(degrees_of_freedom) or any(t.is_of(h) for t in left)]
+    return str(render(effects=left, hardware=acting)).rstrip() + "\n"
 
 
 def _of_its_motions(tables: Sequence[EffectTable], text: str) -> list[EffectTable]:

@@ -94,7 +94,7 @@ def typed_vehicle(kind: str, size: MainDimensions, name: str, motions: tuple[str
     dofs = own if motions is None else motions
     if foreign := [d for d in dofs if d not in own]:
         raise UndertowError(f"--type {kind} has no {', '.join(foreign)}: choose from {', '.join(own)}")
-    surfaces = [h.name for h in hardware if not h.at_rest]
+    surfaces = [h.name for h in hardware if not h.at_rest and h.acts_in(dofs)]
     if surfaces and "surge" not in dofs:
         raise UndertowError(
             f"--dof {','.join(dofs)} leaves out surge, without whose speed '{surfaces[0]}' makes no force: "
