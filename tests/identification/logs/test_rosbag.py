@@ -101,6 +101,29 @@ def test_of_two_odometries_the_one_that_reports_most_is_taken(tmp_path: Path) ->
     assert any("/slow" in note and "not used" in note for note in log.remarks)
 
 
+def test_angles_in_the_place_of_a_quaternion_are_no_attitude_and_commands_no_measurement(
+    tmp_path: Path,
+) -> None:
+    """Small programs put what they have into the message at hand: angles, percentages, nothing."""
+    position, _, twist, _ = enu(dive())
+    with BagWriter(tmp_path / "dive.bag") as out:
+        for k, t in enumerate(dive().t):
+            at, heading = float(t), float(dive().pose[k, 5])
+            turned, rest = np.array([heading, 0.01, -0.02, heading + 6.0]), np.zeros(4)
+            percent = np.array([40.0, -10.0, 5.0])
+            out.write("/rov_odometry", at, out.odometry(at, ("ok", "base"), position[k], turned, twist[k]))
+            for again in (0.0, 0.01):
+                sent = out.odometry(at + again, ("manual", "base"), percent, rest, 0 * twist[k])
+                out.write("/rov_commands", at + again, sent)
+    log = read_field_log(out.path)
+    run = read_log(out.path)
+    assert run.channels["z"] == pytest.approx(-position[:, 2], abs=1e-9)
+    assert "psi" not in run.channels
+    said = [note for note in log.remarks if "is no quaternion" in note]
+    assert len(said) == 1, "nothing is said of what is left empty"
+    assert said[0].startswith("/rov_odometry: pose.pose.orientation is no quaternion (length up to ")
+
+
 @pytest.mark.parametrize(("topic", "position"), [("/ins/NED_pose", "NED"), ("/ins_pose", "ENU")])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_a_pose_in_the_plane_is_read(tmp_path: Path, suffix: str, topic: str, position: str) -> None:

@@ -29,7 +29,7 @@ from undertow.identification.logs.mapping import (
     angles,
     depth,
 )
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 from .fieldlog import FieldLog, Format, Series, library
 
@@ -59,6 +59,7 @@ _TYPES: dict[str, dict[Kind, str]] = {
 }
 _DVL = re.compile(r"/(dvl|dvldata)$", re.IGNORECASE)
 _QUATERNION = re.compile(r"(?:^|(.*)\.)orientation\.w$")
+_ROUNDED = 1e-2  # how far the length of a quaternion may be from one
 _DRIVES = re.compile(r"thrust|motor|actuator|pwm|rc_?out|propeller|servo|(?:^|[/_])esc", re.IGNORECASE)
 _ASKED = re.compile(r"input|cmd|command|control|pwm|rpm|setpoint", re.IGNORECASE)
 _LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[\d+\]")
@@ -109,11 +110,22 @@ def derived(
     for name in columns:
         if _QUATERNION.match(name):
             base = name.removesuffix("w")
-            turned = angles(*(columns[base + axis] for axis in "wxyz"))
-            found |= {base + angle: column for angle, column in turned.items()}
+            q = np.array([columns[base + axis] for axis in "wxyz"])
+            valid = _are_quaternions(q)
+            found |= {base + angle: np.where(valid, a, np.nan) for angle, a in angles(*q).items()}
     if _DVL.search(type_) and "velocity.x" in columns:
         found |= _tracked(columns, messages, constants)
     return found
+
+
+def _are_quaternions(q: Array) -> Flags:
+    """Which of the numbers in the place of quaternions, (4, n), are some: those of length one.
+
+    Programs leave them zero where they measure none, or put angles there, few of which are of that length.
+    """
+    length = np.linalg.norm(q, axis=0)
+    valid = np.abs(length - 1.0) < _ROUNDED
+    return np.asarray(valid & (2 * np.sum(valid) >= np.sum(length > 0.0)))
 
 
 def _tracked(
@@ -157,6 +169,7 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     filled = {c for topic, fields in sources for c, n in _named(topic, fields, frames) if _filled(topic, n)}
     for topic, fields in sources:
         _take_motion(known, topic, fields, frames, filled)
+        known.notes += [_no_quaternion(topic, base) for base in _orientations(fields) if _is_odd(topic, base)]
     for topic in (one for one in _by_samples(topics, _DVL) if "velocity.x" in one.series.columns):
         _take_doppler(known, topic, frames)
     for topic in _by_samples(topics, re.compile("/FluidPressure$")):
@@ -194,8 +207,9 @@ def _precedence(topic: Topic) -> tuple[bool, bool]:
 
 
 def _has_word(name: str, *words: str) -> bool:
-    """Whether the name of a frame has one of some words in it."""
-    return bool(set(re.split("[^a-z0-9]+", name.lower())) & set(words))
+    """Whether the name of a frame or topic has one of some words in it, or the plural of one."""
+    found = re.split("[^a-z0-9]+", name.lower())
+    return not {*found, *(word.removesuffix("s") for word in found)}.isdisjoint(words)
 
 
 def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Interpretation) -> Frames:
@@ -254,10 +268,11 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
     for kind, base in fields.items():
         if kind == "pose":
             yield from ((axis, f"{base}.position.{axis}") for axis in _AXES)
-            yield from ((angle, f"{base}.orientation.{angle}") for angle in ANGLES)
+            if _is_turned(topic, f"{base}.orientation"):
+                yield from ((angle, f"{base}.orientation.{angle}") for angle in ANGLES)
         elif kind == "plane":
             yield from (("x", "x"), ("y", "y"), ("psi", "theta"))
-        elif kind == "attitude" and _has_attitude(topic.first):
+        elif kind == "attitude" and _has_attitude(topic.first) and _is_turned(topic, base):
             yield from ((angle, f"{base}.{angle}") for angle in ANGLES)
         elif kind == "twist":
             yield from ((channel, f"{base}.linear.{axis}") for channel, axis in _LINEAR.items())
@@ -265,6 +280,33 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
                 yield from ((channel, f"{base}.angular.{axis}") for channel, axis in _RATES.items())
         elif kind == "rates":
             yield from ((channel, f"{base}.{axis}") for channel, axis in _RATES.items())
+
+
+def _orientations(fields: Mapping[Kind, str]) -> Iterator[str]:
+    """The names of the quaternions of a topic."""
+    for kind, base in fields.items():
+        if kind in ("pose", "attitude"):
+            yield base if kind == "attitude" else f"{base}.orientation"
+
+
+def _is_turned(topic: Topic, quaternion: str) -> bool:
+    """Whether any message of a topic has an attitude."""
+    return bool(np.isfinite(topic.series.columns[f"{quaternion}.{ANGLES[0]}"]).any())
+
+
+def _is_odd(topic: Topic, quaternion: str) -> bool:
+    """Whether a topic has numbers in the place of its quaternion that are none."""
+    parts = (topic.series.columns[f"{quaternion}.{axis}"] for axis in "wxyz")
+    return not _is_turned(topic, quaternion) and any(map(np.any, parts))
+
+
+def _no_quaternion(topic: Topic, name: str) -> str:
+    parts = [topic.series.columns[f"{name}.{axis}"] for axis in "wxyz"]
+    longest = float(np.nanmax(np.linalg.norm(parts, axis=0)))
+    return (
+        f"{topic.series.name}: {name} is no quaternion (length up to {longest:.3g}, not 1): no attitude is "
+        f"taken from it; if {name}.x ... are angles, name them in a mapping file"
+    )
 
 
 def _filled(topic: Topic, name: str) -> bool:
