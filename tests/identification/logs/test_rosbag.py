@@ -187,7 +187,10 @@ def test_a_first_mapping_of_a_bag_finds_the_commands_of_a_vehicle_and_asks_wheth
     with pytest.raises(UndertowError, match=r"no recognised motors, but .* port, starboard: .*map new boat"):
         read_logs([Path("boat.bag")], vehicle)
     assert main(["map", "new", "boat.bag", "--vehicle", "v.toml", "--out", "log.toml"]) == 0
-    assert "/controller/left_thruster.data: is it command 'port'? from 0 to 11:" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "/controller/left_thruster.data: is it command 'port'? from 0 to 11:" in said.out
+    # what the mapping file is to be checked for: no command that reads the log with it repeats that
+    assert "/ned/trajectory (geometry_msgs/msg/Pose2D) is not used" in said.out + said.err
     (run,) = read_logs([Path("boat.bag")], vehicle, read_mapping("log.toml"))
     assert run.channels["port"][:3] == pytest.approx([5.0, 6.0, 7.0])
     assert run.channels["x"] == pytest.approx(dive().pose[:, 0])

@@ -76,7 +76,7 @@ def import_(
     model = load_vehicle(vehicle) if vehicle else None
     with progress("reading", None):
         found = one_run(logs, messages or (given.messages if given else None))
-    for note in (*found.notes, *(() if given or found.by_name else found.remarks)):
+    for note in found.notes if given else found.read_as:
         say(note, "dim")
     if target is None or beside is None:
         section(

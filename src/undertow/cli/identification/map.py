@@ -60,7 +60,7 @@ def new(
                 f"--interval {interval} is for one table without times: {own.path} has a clock"
             )
         guessed = first_mapping(own, model) if own else guess_mapping(logs[0], model, interval)
-    for note in own.notes if own else ():
+    for note in own.read_as if own else ():
         say(note, "dim")
     write_whole(out, guessed.text())
     show_guesses(guessed, own.path if own else logs[0])

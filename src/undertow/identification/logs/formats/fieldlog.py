@@ -99,6 +99,11 @@ class FieldLog:
     files: tuple[Path, ...] = ()  # files of the log, if not those at its path
     by_name: bool = False  # whether all of `mapping` was guessed from names
 
+    @property
+    def read_as(self) -> tuple[str, ...]:
+        """What is to be known of a log that is read by `mapping`; questions on names are asked elsewhere."""
+        return self.notes if self.by_name else (*self.notes, *self.remarks)
+
     def mapping_for(self, commands: Sequence[str] = ()) -> LogMapping:
         """The known mapping, with the commands of a vehicle as its columns.
 
