@@ -139,6 +139,16 @@ def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
     assert alone.startswith("an error of 44 % remains; the logged signals predict no more")
 
 
+def test_the_sentence_does_not_deny_what_effects_that_are_not_named_predict() -> None:
+    """Buoyancy that varies with depth: no position is among the signals, and the effect halves the error."""
+    silent = _predictability("heave", share=0.0, interval=(0.0, 0.2), significant=False)
+    assert predictable_in_words(0.19, [silent], [], ["hull_compressibility"], 0.102) == (
+        "an error of 19 % remains (10 % with hull_compressibility, not established as the cause); "
+        "velocities, attitude and commands predict no more of it than chance; the rest is disturbance, or "
+        "hull_compressibility: 0.4 N rms in heave"
+    )
+
+
 def _predictability(motion: str, **found: object) -> Predictability:
     size = {
         "unit": "N",

@@ -31,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -166,8 +167,6 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
 
     `written` is the file of --json, `map` the mapping file in use.
     """
-    from undertow.identification.diagnosis.floors import predictable_in_words
-
     diagnosis = outcome.diagnosis
     for finding in diagnosis.doctor:
         if finding.severity == "mistake":
@@ -185,10 +184,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
     for entry in diagnosis.ranking:
         if entry.not_named:
             say(f"not named: {entry.effect} {entry.not_named}")
-    horizons = [share for name, share in diagnosis.last_step.ahead.items() if name != "free run"]
-    if diagnosis.predictable and horizons:
-        said = predictable_in_words(horizons[-1], diagnosis.predictable, diagnosis.stopped_at_zero)
-        say(f"Over the longest horizon {said}.")
+    _show_predictable(diagnosis)
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
     if any(left.depends_on or left.spectrum for left in diagnosis.remaining):
@@ -203,6 +199,20 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
     if doubts:
         say(f"undertow doctor warns, and says what to do: {'; '.join(doubts)}", "yellow")
     say(f"{diagnosis.seconds:.0f} s; false alarm rate {diagnosis.false_alarm_rate:.0%}", "dim")
+
+
+def _show_predictable(diagnosis: Diagnosis) -> None:
+    """How much of what the final model leaves over the longest horizon can be predicted."""
+    from undertow.identification.diagnosis.floors import predictable_in_words
+
+    horizons = [name for name in diagnosis.last_step.ahead if name != "free run"]
+    if not diagnosis.predictable or not horizons:
+        return
+    steps = (diagnosis.last_step, diagnosis.steps[-1])
+    left, lowered = (step.ahead.get(horizons[-1], inf) for step in steps)
+    helps = diagnosis.helps if lowered < left else []
+    said = predictable_in_words(left, diagnosis.predictable, diagnosis.stopped_at_zero, helps, lowered)
+    say(f"Over the longest horizon {said}.")
 
 
 def _show_ranking(diagnosis: Diagnosis) -> None:

@@ -118,22 +118,43 @@ def _test_function_autocovariance(lags: int, time: float) -> Array:
     return np.asarray(np.exp(-apart / time) @ (weight / np.sum(weight)))
 
 
-def predictable_in_words(left: float, found: Sequence[Predictability], at_limit: Sequence[str] = ()) -> str:
-    """How much of a residual can be predicted, as a sentence; `left` is its share of the motion.
+def predictable_in_words(
+    left: float,
+    found: Sequence[Predictability],
+    at_limit: Sequence[str] = (),
+    helps: Sequence[str] = (),
+    with_help: float = 1.0,
+) -> str:
+    """How much of a residual can be predicted, as a sentence.
 
-    `at_limit`: parameters that would have gone beyond what is physical; what they stood for is in the rest.
+    Parameters
+    ----------
+    left : float
+        The residual, as a share of the motion.
+    found : sequence of Predictability
+        How much of it depends on logged signals other than position and time.
+    at_limit : sequence of str
+        Parameters that would have gone beyond what is physical; what they stood for is in the rest.
+    helps : sequence of str
+        Effects that lower the residual without being named, if any, also by position or time.
+    with_help : float
+        The residual with those.
     """
     shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
-    head = (
-        f"an error of {100 * left:.0f} % remains; of that at most {listed(shares)} can be predicted from the "
-        "logged signals"
+    signals = "velocities, attitude and commands" if helps else "the logged signals"
+    head = f"an error of {100 * left:.0f} % remains"
+    if helps:
+        head += f" ({100 * with_help:.0f} % with {listed(helps)}, not established as the cause)"
+    head += (
+        f"; of that at most {listed(shares)} can be predicted from {signals}"
         if shares
-        else f"an error of {100 * left:.0f} % remains; the logged signals predict no more of it than chance"
+        else f"; {signals} predict no more of it than chance"
     )
     if not rest:
         return f"{head}; the rest is sensor noise"
     why = f", or what drove {listed(at_limit)} to a physical limit" if at_limit else ""
-    return f"{head}; the rest is disturbance{why}: {listed(rest)}"
+    other = f", or {listed(helps)}" if helps else ""
+    return f"{head}; the rest is disturbance{other}{why}: {listed(rest)}"
