@@ -21,6 +21,7 @@ from undertow.identification.diagnosis.predictability import (
 )
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.diagnosis.settings import DEFAULT
+from undertow.identification.diagnosis.verdict import only_disturbance, without_damping
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.mapping import LogMapping
@@ -101,6 +102,23 @@ def test_the_force_of_a_short_log_is_averaged_over_what_it_has(durations: tuple[
     assert np.isfinite(found.residual_rms)
     assert 0.0 < found.averaged_over < min(durations)
     assert not found.significant
+
+
+def test_logs_that_determine_no_damping_do_not_show_that_nothing_is_missing() -> None:
+    """At one speed without a force, a body that coasts without drag explains all of it."""
+    steered = [surge_run(seed, 0.05, 2.0) for seed in range(4)]
+    rng = np.random.default_rng(0)
+    steady = [
+        replace(r, channels={"u": 0.3 + NOISE * rng.standard_normal(len(r.t)), "tau_X": np.zeros(len(r.t))})
+        for r in steered
+    ]
+    assert without_damping(_split(surge_vehicle(), steered)[0]) == []
+    undamped = without_damping(_split(surge_vehicle(), steady)[0])
+    assert undamped == ["surge"]
+    found = only_disturbance([], 0.0, undamped)
+    assert found.verdict == "adequate"
+    assert "But these logs determine no damping in surge, and would not show another" in found.headline
+    assert "no damping" not in only_disturbance([], 0.0).headline
 
 
 # --- two floors -------------------------------------------------------------------------------------

@@ -72,6 +72,7 @@ from .diagnosis.verdict import (
     values_by_run,
     values_instead_of_effects,
     with_changed_values,
+    without_damping,
 )
 from .doctor.kinematics import Kinematics
 from .report.scaffold import effect_of
@@ -200,7 +201,7 @@ class ResultBuilder:
         depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._remaining)
         if depends or not is_disturbance(self._predictable, noise_only):
             return self.judgement
-        return only_disturbance(self._predictable, self.judgement.share)
+        return only_disturbance(self._predictable, self.judgement.share, without_damping(self.after))
 
     @property
     def _harmless(self) -> list[FoundEffect]:

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from undertow.errors import UndertowError, listed
-from undertow.identification.estimation.fitted import SIGNIFICANT_T, BetweenRuns, Fitted
+from undertow.identification.estimation.fitted import SIGNIFICANT_T, BetweenRuns, Fitted, t_values
 from undertow.identification.estimation.residual import base_name
 from undertow.identification.estimation.step import (
     PRIOR_WIDTH,
@@ -23,6 +23,7 @@ from undertow.identification.estimation.step import (
 from undertow.identification.estimation.weak_form import WeakFit
 from undertow.model.parameter import Parameter, printed
 from undertow.model.plausibility import check_vehicle
+from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -160,14 +161,40 @@ def _without_effect(residual_is_noise: bool, share: float) -> Judgement:
     return Judgement("unexplained", NO_EVIDENCE, [], [], share)
 
 
-def only_disturbance(left: Sequence[Predictability], share: float) -> Judgement:
-    """That nothing is missing that the logs could show, although the residual exceeds the noise."""
+def only_disturbance(left: Sequence[Predictability], share: float, undamped: Sequence[str] = ()) -> Judgement:
+    """That nothing is missing that the logs could show, although the residual exceeds the noise.
+
+    `undamped`: degrees of freedom in which they determine no damping.
+    """
     rest = [f"{p.disturbance_rms:.2g} {p.unit} in {p.degree_of_freedom}" for p in left if p.disturbance_rms]
     text = (
         "The residual of the refitted model correlates with none of the logged signals. "
         f"A disturbance remains: {', '.join(rest)} (rms)."
     )
+    if undamped:
+        text += (
+            f" But these logs determine no damping in {listed(undamped)}, and would not show another missing "
+            "force there either: record runs at other speeds."
+        )
     return Judgement("adequate", text, [], [], share)
+
+
+def without_damping(fit: Fitted) -> list[str]:
+    """Degrees of freedom with damping to be estimated, none of which the logs determine.
+
+    Where speeds hardly change, forces that cancel and a body that coasts look alike.
+    """
+    vehicle, t = fit.model.functions.vehicle, t_values(fit)
+    damping = {p.name for e in vehicle.effects if e.family == "damping" for p in e.parameters}
+    declared = {name: vehicle.declaration(base_name(name)).name for name in fit.model.free}
+    certainty = {name: t[name] for name, stated in declared.items() if stated in damping}
+    found = []
+    for motion, i in zip(vehicle.degrees_of_freedom, vehicle.dof_indices, strict=True):
+        own = [name for name in certainty if declared[name].startswith(f"{FORCE[i]}_")]
+        of_all = [name for name in certainty if declared[name][:2] not in {f"{force}_" for force in FORCE}]
+        if own and max(certainty[name] for name in own + of_all) < SIGNIFICANT_T:
+            found.append(motion)
+    return found
 
 
 def error_of_sensors(
