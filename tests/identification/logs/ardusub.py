@@ -190,7 +190,7 @@ def pulses(by_motor: Array) -> list[int]:
 # --- .tlog ----------------------------------------------------------------------------------------
 
 
-def write_tlog(path: Path, *, local: bool = True) -> Path:
+def write_tlog(path: Path, *, local: bool = True, aided: bool = True) -> Path:
     """The dive as a ground station hears it: with itself, and a camera, in between."""
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     own, camera, ground = (mavlink.MAVLink(None, *who) for who in ((1, 1), (1, 100), (255, 190)))
@@ -212,7 +212,8 @@ def write_tlog(path: Path, *, local: bool = True) -> Path:
         place, moved = at.pose[k, :3].tolist(), at.velocity_ned[k].tolist()
         if local:
             send(now, own, mavlink.MAVLink_local_position_ned_message(boot, *place, *moved))
-        send(now, own, mavlink.MAVLink_global_position_int_message(boot, *_fix(place), *_whole(moved), 0))
+        fix = _fix(place) if aided else [0, 0, 0, _fix(place)[3]]
+        send(now, own, mavlink.MAVLink_global_position_int_message(boot, *fix, *_whole(moved), 0))
         out_of = [*pulses(pwm[k]), 0, *[0] * 7]
         us = _us(now) % 2**32
         send(now, own, mavlink.MAVLink_servo_output_raw_message(us, 0, *out_of))

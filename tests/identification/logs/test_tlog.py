@@ -92,6 +92,16 @@ def test_degrees_become_metres_where_there_are_no_others(tmp_path: Path) -> None
     assert len(t) == len(dive().t)
 
 
+def test_a_vehicle_without_a_fix_has_its_depth(tmp_path: Path) -> None:
+    """Of an ROV without a Doppler log or satellites, latitude, longitude and altitude are zero."""
+    log = read_field_log(write_tlog(tmp_path / "plain.tlog", local=False, aided=False))
+    channels = {column.channel for column in log.mapping.columns.values()}
+    assert channels == {"z", "phi", "theta", "psi", "p", "q", "r", "voltage"}
+    assert "the vehicle has no position: depth, angles and rates only" in log.notes
+    run = read_log(log.path)
+    assert np.nanmax(run.channels["z"]) == pytest.approx(np.max(dive().pose[:, 2]), abs=2e-3)
+
+
 def test_messages_with_a_bad_checksum_are_counted_and_left_out(log_path: Path, log: FieldLog) -> None:
     data = bytearray(log_path.read_bytes())
     for place in (150_000, 200_000, 250_000):  # one byte each, wherever it falls

@@ -355,13 +355,23 @@ def _position(series: dict[str, Series]) -> tuple[dict[str, Column], Any, list[s
     if local is not None and any(np.ptp(local.columns[name]) > 0 for name in ("x", "y", "vx")):
         names = {"x": "x", "y": "y", "z": "z", "vx": "u", "vy": "v", "vz": "w"}
         return named("LOCAL_POSITION_NED", names), "NED", []
-    if world is None or not np.any(world.columns["lat"]):
+    if world is None:
         return {}, "body", ["no position messages: angles and rates only"]
+    if not np.any(world.columns["lat"]):
+        return _depth_alone(world)
     places, note = _projected(world)
     series["GLOBAL_POSITION_INT"] = replace(world, columns={**world.columns, **places})
     moved = named("GLOBAL_POSITION_INT", {"vx": "u", "vy": "v", "vz": "w"}, unit="m/s", scale=0.01)
     stands = named("GLOBAL_POSITION_INT", {"north": "x", "east": "y", "down": "z"})
     return {**stands, **moved}, "NED", [note]
+
+
+def _depth_alone(world: Series) -> tuple[dict[str, Column], Any, list[str]]:
+    """Depth by the pressure, of a vehicle without an aid: it has no place, and its altitude is zero."""
+    if not np.ptp(world.columns["relative_alt"]) > 0.0:
+        return {}, "body", ["the vehicle has no position: angles and rates only"]
+    depth = named("GLOBAL_POSITION_INT", {"relative_alt": "z"}, unit="m", scale=-1e-3)
+    return depth, "body", ["the vehicle has no position: depth, angles and rates only"]
 
 
 def _projected(world: Series) -> tuple[dict[str, Array], str]:
