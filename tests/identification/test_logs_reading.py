@@ -324,6 +324,8 @@ def test_missing_columns_are_named_with_those_there_are(log):
     refused(log, PLAIN, *parts, channels=["f1", "f2"])
     other_case = ["no command channel 'R'", "did you mean 'r'?"]
     refused(log, PLAIN, *other_case, channels=["R"])
+    trailing = "t;u;\n0;0.1;\n0.1;0.2;\n"
+    refused(log, trailing, "its columns are t, u; name", channels=["f1"], mapping={"delimiter": ";"})
     mapping = {"columns": {"heading": "psi"}}
     refused(log, PLAIN, "no column for channel 'psi', 'heading'", mapping=mapping)
     assert not log(PLAIN, {"columns": {"heading": {"channel": "psi", "optional": True}}}).has("psi")

@@ -385,7 +385,8 @@ def must_have(
     """Refuse a table without a column, with those that it has."""
     names = list(names)
     if name not in names:
-        have = list(names if columns is None else columns)
+        # A separator at the end of every line makes a column without a name.
+        have = list(filter(None, names if columns is None else columns))
         hint, remedy = nearest(name, have), "; name the right one in a mapping file"
         if len(have) == 1 and (other := next((sign for sign in ";\t|" if sign in have[0]), "")):
             remedy = f" (one column: set delimiter = {other!r} in a mapping file)"
