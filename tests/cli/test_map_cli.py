@@ -654,6 +654,20 @@ def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_e
     assert "u" not in _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)[0]
 
 
+@pytest.mark.parametrize("speed", ["STW [kn]", "speed_through_water_mps", "Speed through water (m/s)"])
+def test_a_speed_through_the_water_is_the_speed_ahead_where_there_is_none_over_ground(
+    speed: str, tmp_path: Path
+) -> None:
+    own = SHIP.format(thrust=PROPELLER.format("rev/s")).replace('"sway", ', "")
+    columns = {"heading_deg": 90.0, speed: 1.0, "water_speed": 0.3, "water_temperature": 11.0}
+    found = _guesses(tmp_path, own, **columns)[0]["u"]
+    assert found.column == speed
+    assert "[water] with the velocity of the water makes it one over ground" in found.doubt
+    over_ground = _guesses(tmp_path, own, **columns, sog_kn=1.1)[0]["u"]
+    assert over_ground.column == "sog_kn"
+    assert "[water]" not in over_ground.doubt
+
+
 @pytest.mark.parametrize(
     ("thrust", "column"), [("", "left_force"), ("thrust_per_command = 20", "thr_left_pwm")]
 )

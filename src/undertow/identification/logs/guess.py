@@ -321,8 +321,8 @@ def _best_columns(names: Iterable[Name], only: int | None) -> dict[str, Name]:
 def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Name]:
     """The best column with a speed, of a vehicle that has surge and no sway."""
     moves = {"surge", "sway"} & {*vehicle.degrees_of_freedom} if vehicle else set()
-    speeds = sorted((n for n in names if n.is_speed), key=lambda n: n.rank) if moves == {"surge"} else []
-    return {"u": speeds[0]} if speeds else {}
+    speeds = [n for n in names if n.is_speed] if moves == {"surge"} else []
+    return {"u": min(speeds, key=lambda n: (n.is_through_water, n.rank))} if speeds else {}
 
 
 def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) -> dict[str, Name]:
@@ -406,6 +406,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
         entry["scale"] = -1
     elif name.is_speed and channel == "u":
         doubts.append("read as the speed ahead: does the vehicle hardly drift or go astern?")
+        if name.is_through_water:
+            doubts.append("[water] with the velocity of the water makes it one over ground")
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubts.append("does it grow with depth? If it grows upwards: scale = -1")
     return Guess(name.column, entry, " ".join(filter(None, doubts)))

@@ -50,6 +50,7 @@ _SIDEWAYS = {
     "forward": 0, "fwd": 0, "ahead": 0, "left": 1, "port": 1, "right": 1, "starboard": 1, "stbd": 1,
 }  # fmt: skip
 _SOG = {"sog", "over", "ground"}
+_STW = {"stw", "through", "water"}
 _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
 _OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
@@ -205,9 +206,15 @@ class Name:
     def is_speed(self) -> bool:
         """Whether it is the speed of the vehicle along no particular axis, such as that over ground."""
         words = {*self.words}
-        others = words - {*_OF_SPEED, *_PLAIN, *_RANK, *_SOG}
-        is_speed = bool(words & {"speed", "velocity", "vel", "sog"}) and not others
+        others = words - {*_OF_SPEED, *_PLAIN, *_RANK, *(_STW if self.is_through_water else _SOG)}
+        is_speed = bool(words & {"speed", "velocity", "vel", "sog", "stw"}) and not others
         return is_speed and self.unit in {"", *_SPEEDS}
+
+    @property
+    def is_through_water(self) -> bool:
+        """Whether it says that it is measured through the water; "water speed" may be that of the water."""
+        words = {*self.words}
+        return "stw" in words or {"through", "water"} <= words
 
     @property
     def of_header(self) -> bool:
