@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 
 class UndertowError(Exception):
@@ -40,3 +40,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
     alike = alike or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     alike = alike or [other for other in names if other.lower().startswith(name.lower())]
     return f" (did you mean {alike[0]!r}?)" if alike else ""
+
+
+def refuse_unknown(
+    names: Iterable[str], known: Collection[str], before: str, after: str, all_are: str
+) -> None:
+    """Refuse a name that is not known: ``before'name'after``, the most like one, and all that are known."""
+    for name in names:
+        if name not in known:
+            listing = ", ".join(known) or "none"
+            raise UndertowError(f"{before}'{name}'{after}{nearest(name, known)}: {all_are} {listing}")

@@ -14,7 +14,7 @@ import numpy as np
 import sympy as sm
 from pydantic import Field, StrictStr
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.symbols import DOFS, POSE
 from undertow.model.tables import FileTable, Identifier, Quantity, file_or_bundled, read_table
 from undertow.model.units import si_of
@@ -138,10 +138,7 @@ def load_gains(
 
 def gains_from_table(table: GainTable, vehicle: Vehicle) -> GainSet:
     """The gain set that a validated file describes, for a vehicle."""
-    if table.law not in LAWS:
-        raise UndertowError(
-            f"law '{table.law}' is not known{nearest(table.law, LAWS)}: laws are {', '.join(LAWS)}"
-        )
+    refuse_unknown([table.law], LAWS, "law ", " is not known", "laws are")
     law = LAWS[table.law]()
     plant = Plant(vehicle, _speed(table.allocation))
     _check_axes(table, plant, bool(vehicle.surfaces) or WITH_MOTION in plant.left_out.values())
@@ -166,12 +163,7 @@ def _speed(allocation: AllocationTable) -> float:
 # --- gains ------------------------------------------------------------------------------------
 def _gain_matrices(table: GainTable, law: type[Law]) -> Iterable[GainMatrix]:
     known = [g.name for g in law.gains]
-    for name in table.gains:
-        if name not in known:
-            raise UndertowError(
-                f"gain '{name}' does not belong to law '{law.id}'{nearest(name, known)}: it has "
-                f"{', '.join(known)}"
-            )
+    refuse_unknown(table.gains, known, "gain ", f" does not belong to law '{law.id}'", "it has")
     for gain in law.gains:
         if gain.name not in table.gains:
             raise UndertowError(
@@ -268,12 +260,8 @@ def _dependent(dof: str, table: GainTable, plant: Plant) -> bool:
 
 def _check_thrusters(allocation: AllocationTable, vehicle: Vehicle) -> None:
     known = vehicle.actuator_names if allocation.speed is not None else [t.name for t in vehicle.thrusters]
-    for key in (*allocation.weights, *allocation.limits):
-        if key not in known:
-            raise UndertowError(
-                f"[allocation] names thruster '{key}'{nearest(key, known)}: the vehicle has "
-                f"{', '.join(known) or 'none'}"
-            )
+    named = (*allocation.weights, *allocation.limits)
+    refuse_unknown(named, known, "[allocation] names thruster ", "", "the vehicle has")
     low, high = LIMITS.weights
     beyond = [(k, w) for k, w in allocation.weights.items() if not low <= w <= high]
     if beyond:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from undertow.codegen.manifest import whole_samples
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.symbols import MOTION_UNITS
 from undertow.model.tables import FileTable, Quantity, read_table
 from undertow.model.units import to_si
@@ -354,8 +354,8 @@ def load_observer(path: str | Path, vehicle: Vehicle) -> Design:
 def design(table: ObserverTable, vehicle: Vehicle) -> Design:
     """The observer of a table for a vehicle."""
     process = process_of(vehicle, table.estimate, table.process)
-    _refuse_alien("sensor", table.sensors, process.channels)
-    _refuse_alien("disturbance", table.disturbance, process.driven_names)
+    refuse_unknown(table.sensors, process.channels, "sensor ", " does not exist", "they are")
+    refuse_unknown(table.disturbance, process.driven_names, "disturbance ", " does not exist", "they are")
     lacking = [n for n in process.driven_names if n not in table.disturbance]
     if lacking or not table.sensors:
         what = f"[disturbance] lacks {lacking[0]}" if lacking else "[sensors] is empty"
@@ -391,11 +391,3 @@ def _period(value: Quantity, sensor: str) -> float:
             f"period of {sensor} = {found:g} s: give the time between reports, 0 for all samples"
         )
     return found
-
-
-def _refuse_alien(what: str, given: Mapping[str, object], known: tuple[str, ...]) -> None:
-    for name in given:
-        if name not in known:
-            raise UndertowError(
-                f"{what} '{name}' does not exist{nearest(name, known)}: they are {', '.join(known)}"
-            )

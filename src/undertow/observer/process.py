@@ -12,7 +12,7 @@ import numpy as np
 
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import Entry, numbers_of
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.catalogue import catalogue
 from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -132,12 +132,8 @@ def process_of(
 
 def _with_effects(vehicle: Vehicle, estimated: Sequence[str], kind: Kind) -> Vehicle:
     """The vehicle with the effects that the parameters belong to."""
+    refuse_unknown(estimated, _EFFECT_OF, "", " cannot be estimated as a state", "these can:")
     for name in estimated:
-        if name not in _EFFECT_OF:
-            raise UndertowError(
-                f"'{name}' cannot be estimated as a state{nearest(name, _EFFECT_OF)}: these can: "
-                f"{', '.join(_EFFECT_OF)}"
-            )
         if name in vehicle.inputs:
             raise UndertowError(f"'{name}' is an input that logs of '{vehicle.name}' hold: leave it out")
         if name in CURRENT and kind == "kinematics":

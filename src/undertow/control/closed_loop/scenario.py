@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
 from undertow.model.tables import Quantity
 from undertow.model.units import si_of
@@ -105,12 +105,7 @@ class Scenario:
 
     def velocity(self, names: tuple[str, ...]) -> np.ndarray:
         """First body velocity, shape (n,)."""
-        unknown = [n for n in self.moving if n not in names]
-        if unknown:
-            raise UndertowError(
-                f"the vehicle has no velocity '{unknown[0]}'{nearest(unknown[0], names)}: it has "
-                f"{', '.join(names)}"
-            )
+        refuse_unknown(self.moving, names, "the vehicle has no velocity ", "", "it has")
         for name, value in self.moving.items():
             if not abs(value) <= FASTEST:
                 raise UndertowError(
@@ -121,12 +116,8 @@ class Scenario:
 
     def noise_of(self, names: tuple[str, ...]) -> np.ndarray:
         """Standard deviation for each of the channels of a vehicle, shape (n,)."""
+        refuse_unknown(self.noise, names, "noise for ", ", which is not reported", "channels are")
         for name, value in self.noise.items():
-            if name not in names:
-                raise UndertowError(
-                    f"noise for '{name}', which is not reported{nearest(name, names)}: channels are "
-                    f"{', '.join(names)}"
-                )
             if not 0 <= value < math.inf:
                 raise UndertowError(f"noise of {name} = {value:g}: give a standard deviation, zero or above")
         return np.array([self.noise.get(name, 0.0) for name in names])

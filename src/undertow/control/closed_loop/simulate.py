@@ -17,7 +17,7 @@ from undertow.control.controller import Controller
 from undertow.control.gains import GainSet, GainTable, load_gains
 from undertow.control.guidance.mission import Mission
 from undertow.control.plant import in_current
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design, load_observer
 from undertow.observer.process import require_stable_step
@@ -67,11 +67,8 @@ class RunVariations:
     def rows_with(self, what: str, varied: Varied, names: tuple[str, ...], values: np.ndarray) -> np.ndarray:
         """A row of values for each run, those that differ put in, shape (b, n)."""
         rows = np.tile(values, (self.runs, 1))
+        refuse_unknown(varied, names, f"{what} ", " is not known", "they are")
         for name, column in varied.items():
-            if name not in names:
-                raise UndertowError(
-                    f"{what} '{name}' is not known{nearest(name, names)}: they are {', '.join(names)}"
-                )
             rows[:, names.index(name)] = column
         return rows
 
@@ -458,12 +455,8 @@ class Overrides:
 def without_effects(vehicle: Vehicle, ids: Sequence[str]) -> Vehicle:
     """The vehicle with some of its effects left out."""
     present = [e.id for e in vehicle.effects]
-    for id_ in ids:
-        if id_ not in present:
-            raise UndertowError(
-                f"effect '{id_}' cannot be left out, '{vehicle.name}' does not have it"
-                f"{nearest(id_, present)}: it has {', '.join(present)}"
-            )
+    absent = f" cannot be left out, '{vehicle.name}' does not have it"
+    refuse_unknown(ids, present, "effect ", absent, "it has")
     return replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id not in ids))
 
 

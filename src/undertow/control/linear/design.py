@@ -14,7 +14,7 @@ from undertow.codegen.functions import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.control.plant import remedy_for_curves
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -275,12 +275,7 @@ def lqg(
     plant = linearize(vehicle, trim)
     states = plant.state_labels
     for what, given in (("weight", weights), ("disturbance", disturbance)):
-        for name in given:
-            if name not in states:
-                near = nearest(name, states)
-                raise UndertowError(
-                    f"{what} of '{name}', which is not a state{near}: give {', '.join(states)}"
-                )
+        refuse_unknown(given, states, f"{what} of ", ", which is not a state", "give")
         _positive(what, given, list(given))
     shown = ct.ss(plant.A, plant.B, plant.C[[_output_index(plant.output_labels, n) for n in noise]], 0)
     kept = _minimal_states(plant, shown)

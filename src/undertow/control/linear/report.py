@@ -16,7 +16,7 @@ import control as ct
 from pydantic import TypeAdapter
 
 from undertow.control.gains import GainSet, load_gains
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.files import json_ready
 from undertow.model.loading import resolve_vehicle
 from undertow.model.parameter import printed
@@ -155,10 +155,8 @@ class Analysis:
         inputs = self._with_force_inputs.input_labels
         known = [n for n in (source, f"force_{source}", f"{source}_ref") if n in inputs]
         if not known:
-            raise UndertowError(
-                f"'{source}' is not an input{nearest(source, inputs)}: it has {', '.join(inputs)}"
-            )
-        _require_output("", output, self._with_force_inputs.output_labels)
+            refuse_unknown([source], inputs, "", " is not an input", "it has")
+        refuse_unknown([output], self._with_force_inputs.output_labels, "", " is not an output", "it has")
         return Channel(known[0], output, channel(self._with_force_inputs, output, known[0]))
 
     def combined(self, channels: Sequence[Channel]) -> ct.StateSpace:
@@ -216,8 +214,7 @@ class Analysis:
     def observability(self) -> Subspace:
         """What the sensors show."""
         plant = self.plant
-        for sensor in self.sensors:
-            _require_output("sensor ", sensor, plant.output_labels)
+        refuse_unknown(self.sensors, plant.output_labels, "sensor ", " is not an output", "it has")
         names = list(self.sensors or plant.output_labels)
         return observability(named(plant[names, :], plant.state_labels, plant.input_labels, names, "seen"))
 
@@ -246,13 +243,6 @@ class Analysis:
             }
         )
         return found
-
-
-def _require_output(kind: str, name: str, outputs: Sequence[str]) -> None:
-    if name not in outputs:
-        raise UndertowError(
-            f"{kind}'{name}' is not an output{nearest(name, outputs)}: it has {', '.join(outputs)}"
-        )
 
 
 def _mode(mode: Mode) -> dict[str, Any]:

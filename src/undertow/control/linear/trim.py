@@ -11,7 +11,7 @@ from math import inf, isfinite
 import casadi as ca
 import numpy as np
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, refuse_unknown
 from undertow.model.symbols import FASTEST, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -38,8 +38,9 @@ def checked_request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Co
     hover = {n: v for n, v in _HOVER.items() if n in vehicle.velocity_names and n not in free}
     given = hover if held is None else dict(held)
     known = (*vehicle.pose_names, *vehicle.velocity_names, *vehicle.command_names)
+    refuse_unknown(given, known, "", f" is not a velocity, pose or command of '{vehicle.name}'", "it has")
     for name, value in given.items():
-        _check(vehicle, name, value, known)
+        _check(name, value)
     for name in free:
         if name not in _FREE or name not in known:
             raise UndertowError(
@@ -51,12 +52,7 @@ def checked_request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Co
     return Request(resting | given, tuple(given), climbs="w" in free)
 
 
-def _check(vehicle: Vehicle, name: str, value: float, known: tuple[str, ...]) -> None:
-    if name not in known:
-        raise UndertowError(
-            f"'{name}' is not a velocity, pose or command of '{vehicle.name}'{nearest(name, known)}: it has "
-            f"{', '.join(known)}"
-        )
+def _check(name: str, value: float) -> None:
     if name in _POSITION:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
