@@ -213,24 +213,32 @@ def say(line: str, style: str = "") -> None:
 def write_files(
     *files: tuple[Path | None, Callable[[Path], Any] | str | Figure], silent: bool = False
 ) -> None:
-    """Write files that are asked for, all or none, and say where they are, unless JSON is printed (`silent`).
+    """Write files that are asked for, all or none, and say where they are, unless `silent`.
 
-    With each path stands its text or picture, what makes its text, bytes or picture, or what writes it.
+    With each path stands its text or picture, what makes its text, bytes or picture, or what writes it; with
+    a folder what makes its pictures by name, whose number is said in any case.
     """
     from undertow.files import together, write_whole
 
     wanted = [(path, make) for path, make in files if path is not None]
+    said = []
     with progress("writing", None), together():
         for path, make in wanted:
             content = make(path) if callable(make) else make
+            if isinstance(content, dict):
+                from undertow.figures import save_pictures
+
+                said.append(f"{len(save_pictures(content, path))} pictures in {path}")
+                continue
             if isinstance(content, str | bytes):
                 write_whole(path, content)
             elif content is not None:
                 from undertow.figures import save_png
 
                 save_png(content, path)
-    for path, _ in [] if silent else wanted:
-        console().print(text(f"wrote {path}"))
+            said += [] if silent else [f"wrote {path}"]
+    for line in said:
+        console().print(text(line))
 
 
 def section(title: str, content: Any = None) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from .._options import EffectsOption, VehicleArgument, quantities
-from .._terminal import console, progress, say, section, table, text
+from .._terminal import console, progress, say, section, table, text, write_files
 from .linearize import DIRECTION, directions, show_modes
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def design(
     from undertow.control.linear.design import lqr
     from undertow.control.linear.numeric import as_input_error
     from undertow.control.linear.trim import find_trim
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.model.loading import load_vehicle
     from undertow.model.symbols import DOFS, FORCE_UNITS, MOTION_UNITS
 
@@ -59,12 +59,10 @@ def design(
             name=name,
         )
     show(done)
+    source = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
+    write_files((out, done.to_toml(source)))
     if out is None:
         typer.echo("nothing was written: --out NEW.toml writes the gain file")
-    else:
-        source = f"undertow design: --error {','.join(error)} --force {','.join(force)}"
-        write_whole(out, done.to_toml(source))
-        typer.echo(f"wrote {out}")
 
 
 def show(done: Design) -> None:

@@ -54,9 +54,11 @@ from .._options import (
     number_or_text,
     quantities,
 )
-from .._terminal import progress, section, table
+from .._terminal import progress, section, table, write_files
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.control.closed_loop import LoopResult, Overrides, Push, Record, Scenario
     from undertow.control.closed_loop.measures import CoordinateResult, Cycle
     from undertow.control.closed_loop.record import FollowedError
@@ -250,23 +252,19 @@ def _write(
     records: Sequence[Record], out: Path | None, states: Path | None, figures: Path | None, json: Path | None
 ) -> None:
     """Write the log, the true states, the result and the pictures that are asked for."""
-    from undertow.files import together, write_whole
 
-    drawn: Sequence[Path] = ()
-    with together():
-        if out is not None:
-            write_whole(out, records[0].to_csv())
-        if states is not None:
-            write_whole(states, records[0].states_to_csv())
-        if json is not None:
-            write_whole(json, "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n")
-        if figures is not None:
-            from undertow.control.closed_loop.pictures import pictures
-            from undertow.figures import save_pictures
+    def draw(_: Path) -> dict[str, Figure]:
+        from undertow.control.closed_loop.pictures import pictures
 
-            drawn = save_pictures(pictures(records), figures)
-    if figures is not None:
-        typer.echo(f"{len(drawn)} pictures in {figures}")
+        return pictures(records)
+
+    write_files(
+        (out, lambda _: records[0].to_csv()),
+        (states, lambda _: records[0].states_to_csv()),
+        (json, lambda _: "[\n" + ",\n".join(record.to_json().rstrip() for record in records) + "\n]\n"),
+        (figures, draw),
+        silent=True,
+    )
 
 
 def show(results: Sequence[LoopResult]) -> None:

@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._options import JsonFileOption, VehicleArgument, bundled
-from .._terminal import progress, say, section, table
+from .._terminal import progress, say, section, table, write_files
 from ._logs import LogOptions, LogsArgument, say_long
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.identification.comparison import ComparisonResult
 
 _HORIZON = typer.Option(metavar="SECONDS", help="How far ahead to predict.", min=0.001)
@@ -36,7 +38,7 @@ def compare(
     json: JsonFileOption = None,
     plots: Annotated[Path | None, _PLOTS] = None,
 ) -> None:
-    from undertow.files import check_folder, check_writable, together, write_whole
+    from undertow.files import check_folder, check_writable
     from undertow.identification.comparison import compare as compared
     from undertow.identification.long_logs.choosing import LOOK
 
@@ -51,17 +53,13 @@ def compare(
     comparison = replace(comparison, result=comparison.result.model_copy(update={"long_logs": long}))
     _show(comparison.result)
     say_long(long)
-    drawn: list[Path] = []
-    with progress("writing", None), together():
-        if json is not None:
-            write_whole(json, comparison.result.to_json())
-        if plots is not None:
-            from undertow.figures import save_pictures
-            from undertow.identification.report.page import comparison_pictures
 
-            drawn = save_pictures(comparison_pictures(comparison), plots)
-    if plots is not None:
-        typer.echo(f"{len(drawn)} pictures in {plots}")
+    def draw(_: Path) -> dict[str, Figure]:
+        from undertow.identification.report.page import comparison_pictures
+
+        return comparison_pictures(comparison)
+
+    write_files((json, comparison.result.to_json()), (plots, draw), silent=True)
 
 
 def _show(result: ComparisonResult) -> None:

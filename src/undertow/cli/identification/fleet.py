@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._options import EffectsOption, bundled
-from .._terminal import console, progress, say, section, table, text
+from .._terminal import console, progress, say, section, table, text, write_files
 from ._logs import FillOption, LogsArgument, MapOption, TrustOption
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def rollouts(
     Exit code 0: all rollouts were used; 1: some diverged or some logs could not be used, and are named; 2: a
     mistake in the input.
     """
-    from undertow.files import check_writable, write_whole
+    from undertow.files import check_writable
     from undertow.fleet.rollouts import RolloutJob, to_parquet
     from undertow.fleet.rollouts import rollouts as roll_out
     from undertow.identification.logs.table import refuse_no_file
@@ -221,9 +221,7 @@ def rollouts(
         diverged = _show_bands(bands, count, horizon, coverage, source)
         for place, words in failed.items():
             say(f"left out: {words if place.partition(',')[0] in words else f'{place}: {words}'}", "yellow")
-        if out is not None:
-            write_whole(out, to_parquet(bands))
-            console().print(text(f"wrote {out}"))
+        write_files((out, lambda _: to_parquet(bands)))
         return 1 if failed or diverged else 0
 
 

@@ -27,16 +27,19 @@ stated errors treat smoothed samples as independent. `undertow fit` avoids both.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
-from .._terminal import console, progress, say, section, table, text
+from .._terminal import console, progress, say, section, table, text, write_files
 from ._logs import LogOptions, LogsArgument
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undertow.paper.least_squares import Estimation, Experiment, Identified
     from undertow.paper.regression import Edges
 
@@ -62,20 +65,18 @@ def identify(
     out: OutOption = None,
     in_place: InPlaceOption = False,
 ) -> None:
-    from undertow.files import together, write_whole
-
     target = target_of(vehicle, out, in_place, json, inputs=[*logs, *options.files])
     if figures is not None:
         _check_figures(figures, logs, stream)
     done = _identified(vehicle, logs, cases, edges, stream, options)
     show(done)
-    with together():
-        if figures is not None:
-            _draw(done, figures, edges)
-        if json is not None:
-            write_whole(json, done.to_json())
-        if target is not None:
-            done.save(vehicle, target)
+
+    def draw(_: Path) -> dict[str, Figure]:
+        from undertow.paper.figures import figures
+
+        return figures([experiment for experiment, _ in done.found], edges)
+
+    write_files((figures, draw), (json, done.to_json()), (target, partial(done.save, vehicle)), silent=True)
     typer.echo(
         "no vehicle file was written: --out NEW.toml or --in-place writes it"
         if target is None
@@ -94,15 +95,6 @@ def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
         raise UndertowError(
             "--figures needs logs that are read whole: leave out --stream, or give a part (--from)"
         )
-
-
-def _draw(done: Identified, folder: Path, edges: Edges) -> None:
-    from undertow.figures import save_pictures
-    from undertow.paper.figures import figures
-
-    with progress("drawing", None):
-        drawn = save_pictures(figures([experiment for experiment, _ in done.found], edges), folder)
-    say(f"{len(drawn)} pictures in {folder}")
 
 
 def _identified(
