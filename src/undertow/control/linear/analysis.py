@@ -103,11 +103,6 @@ def at_frequencies(system: ct.StateSpace, omega: Array) -> NDArray[np.complex128
     return np.asarray(np.exp(1j * omega * dt) if dt else 1j * omega)
 
 
-def with_timebase(system: ct.StateSpace, a: Array, b: Array, c: Array, d: Array) -> ct.StateSpace:
-    """A system with the sampling time of another one."""
-    return ct.ss(a, b, c, d, dt=system.dt)
-
-
 def modes(system: ct.StateSpace) -> list[Mode]:
     """Poles with the states that take part, the fastest growing first; pairs once.
 
@@ -241,7 +236,8 @@ def minimal(system: ct.StateSpace) -> ct.StateSpace:
     by_rate = slopes(system)
     basis = reachable(by_rate, system.B)
     shown = basis @ reachable(basis.T @ by_rate.T @ basis, basis.T @ system.C.T)
-    return with_timebase(system, shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown, system.D)
+    a, b, c = shown.T @ system.A @ shown, shown.T @ system.B, system.C @ shown
+    return ct.ss(a, b, c, system.D, dt=system.dt)
 
 
 # --- one channel ------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from undertow.observer.design import Design
 from undertow.observer.process import process_of
 from undertow.typing import Array
 
-from .analysis import Margins, margins, minimal, multiloop_disk_margin, sampling_time, with_timebase
+from .analysis import Margins, margins, minimal, multiloop_disk_margin, sampling_time
 from .numeric import Numeric, in_direction
 from .trim import Trim, find_trim
 
@@ -487,11 +487,7 @@ class LinearLoop:
     @cached_property
     def closed(self) -> ct.StateSpace:
         """References to pose, velocity and commands."""
-        to_commands = self._system.B_inverse
-        law = with_timebase(
-            self.law, self.law.A, self.law.B, to_commands @ self.law.C, to_commands @ self.law.D
-        )
-        whole = _closed(self.plant, law)
+        whole = _closed(self.plant, self._system.B_inverse * self.law)
         names = (*self.plant.state_labels, *self.law.state_labels)
         outputs = [*self.plant.output_labels, *self.plant.input_labels]
         return named(whole, names, self._system.references, outputs, "closed")
@@ -500,11 +496,8 @@ class LinearLoop:
     def open_loop(self) -> ct.StateSpace:
         """The loop cut at the forces: forces to minus the forces of the law."""
         n = len(self._system.references)
-        plant, by_force, names = self.plant, self._system.B_inverse, self._system.forces
-        pushed = with_timebase(plant, plant.A, plant.B @ by_force, plant.C, plant.D @ by_force)
-        answer = (
-            with_timebase(self.law, self.law.A, self.law.B[:, n:], -self.law.C, -self.law.D[:, n:]) * pushed
-        )
+        names = self._system.forces
+        answer = -self.law[:, self.law.input_labels[n:]] * (self.plant * self._system.B_inverse)
         return named(answer, answer.state_labels, names, names, "opened")
 
     def single_loop(self, force: str) -> ct.StateSpace:
@@ -645,16 +638,14 @@ def _closed(plant: ct.StateSpace, law: ct.StateSpace) -> ct.StateSpace:
     b = np.vstack([plant.B @ d_ref, b_ref])
     c = np.block([[plant.C, np.zeros((ny, law.nstates))], [d_y @ plant.C, law.C]])
     d = np.vstack([np.zeros((ny, n)), d_ref])
-    return with_timebase(plant, a, b, c, d)
+    return ct.ss(a, b, c, d, dt=plant.dt)
 
 
 def with_forces(
     plant: ct.StateSpace, forces: tuple[list[str], Array], commands: bool = False
 ) -> ct.StateSpace:
     """The linear vehicle with the inputs of `forces_of`, on demand beside its commands."""
-    names, by_force = forces
-    b, d = plant.B @ by_force, plant.D @ by_force
+    names, pushed = forces
     if commands:
-        b, d, names = np.hstack([plant.B, b]), np.hstack([plant.D, d]), [*plant.input_labels, *names]
-    system = with_timebase(plant, plant.A, b, plant.C, d)
-    return named(system, plant.state_labels, names, plant.output_labels, plant.name)
+        names, pushed = [*plant.input_labels, *names], np.hstack([np.eye(plant.ninputs), pushed])
+    return named(plant * pushed, plant.state_labels, names, plant.output_labels, plant.name)
