@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
-from http.cookies import SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
 
 from nicegui import app, context, ui
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse
 
 from .bench import HOST, Bench
 from .data_pages import fails_page, log_page
@@ -49,30 +49,21 @@ class TokenGate:
     def __init__(self, app: Any, token: str, name: str) -> None:
         self._app, self._token, self._name = app, token, name
 
-    async def __call__(self, scope: Mapping[str, Any], receive: Any, send: Any) -> None:
+    async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
-        elif not self._known(scope):
-            await self._refuse(scope, receive, send)
-        else:
+        elif self._known(HTTPConnection(scope)):
             await self._app(scope, receive, self._marked(send))
-
-    def _known(self, scope: Mapping[str, Any]) -> bool:
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
-        headers = dict(scope.get("headers", []))
-        cookie = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1")).get(self._name)
-        given += [cookie.value] if cookie else []
-        return any(secrets.compare_digest(one.encode(), self._token.encode()) for one in given)
-
-    async def _refuse(self, scope: Mapping[str, Any], receive: Any, send: Any) -> None:
-        if scope["type"] == "websocket":
+        elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
-            return
-        words = b"403: open the address that 'undertow workbench' printed, with its token\n"
-        head = [(b"content-type", b"text/plain"), (b"content-length", str(len(words)).encode())]
-        await send({"type": "http.response.start", "status": 403, "headers": head})
-        await send({"type": "http.response.body", "body": words})
+        else:
+            words = "403: open the address that 'undertow workbench' printed, with its token\n"
+            await PlainTextResponse(words, 403)(scope, receive, send)
+
+    def _known(self, asked: HTTPConnection) -> bool:
+        given = [*asked.query_params.getlist("token"), asked.cookies.get(self._name, "")]
+        return any(secrets.compare_digest(one.encode(), self._token.encode()) for one in given)
 
     def _marked(self, send: Any) -> Any:
         cookie = f"{self._name}={self._token}; Path=/; HttpOnly; SameSite=Strict"
