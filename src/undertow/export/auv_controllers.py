@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from xml.etree import ElementTree as ET
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from undertow.model.vehicle import Vehicle
 
-from .body import Body, attributes, fit, on_the_diagonal, steiner
+from .body import Body, fit, numbers, on_the_diagonal, steiner
 
 # What its parser takes for gravity, m/s^2: the weight is the mass times it.
 _GRAVITY = 9.81
@@ -25,42 +24,36 @@ class AuvControllers(Body):
     https://github.com/Robotic-Decision-Making-Lab/hydrodynamics
     """
 
+    template = "auv_controllers.xml"
+
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "auv_controllers", _GRAVITY)
-        self._root = ET.Element("robot", {"name": self.name})
-        hydrodynamics = ET.SubElement(self._root, "hydrodynamics")
-        self._inertial(hydrodynamics)
-        self._damping(hydrodynamics)
-        self._hydrostatics(hydrodynamics)
+        self.text = self.filled(**self._inertial(), **self._damping(), **self._hydrostatics())
         self.losses += self._left_out_lines()
 
-    def _inertial(self, parent: ET.Element) -> None:
+    def _inertial(self) -> dict[str, object]:
         """Mass, inertia about the origin and added mass, of which the parser takes the diagonals."""
-        inertial = ET.SubElement(parent, "inertial")
         added, m = self.added_mass, self.values["m"]
         about = self.inertia + m * steiner(self.centre_of_gravity)
-        attributes(inertial, "mass", ("value",), [m])
-        attributes(inertial, "inertia", ("ixx", "iyy", "izz"), np.diag(about))
-        attributes(inertial, "center_of_gravity", "xyz", self.centre_of_gravity)
-        attributes(inertial, "added_mass", _ADDED, -np.diag(added))
         if np.count_nonzero(about - np.diag(np.diag(about))):
             self.losses.append(
                 "I_xy, I_xz, I_yz are left out: the parser takes them for one of two axes only"
             )
         if np.count_nonzero(added - np.diag(np.diag(added))):
             self.losses.append("added mass off the diagonal is left out")
+        return {
+            "inertia": _named(("ixx", "iyy", "izz"), np.diag(about)),
+            "gravity": _named("xyz", self.centre_of_gravity),
+            "added": _named(_ADDED, -np.diag(added)),
+        }
 
-    def _damping(self, parent: ET.Element) -> None:
-        damping = ET.SubElement(parent, "damping")
+    def _damping(self) -> dict[str, object]:
         linear, quadratic = on_the_diagonal(self, fit(self), 6)
-        attributes(damping, "linear", _LINEAR, linear)
-        attributes(damping, "quadratic", _QUADRATIC, quadratic)
+        return {"linear": _named(_LINEAR, linear), "quadratic": _named(_QUADRATIC, quadratic)}
 
-    def _hydrostatics(self, parent: ET.Element) -> None:
-        hydrostatics = ET.SubElement(parent, "hydrostatics")
+    def _hydrostatics(self) -> dict[str, object]:
         lift, centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
-        attributes(hydrostatics, "buoyancy", ("value",), [lift])
-        attributes(hydrostatics, "center_of_buoyancy", "xyz", centre)
+        return {"lift": lift, "buoyancy": _named("xyz", centre)}
 
     def _left_out_lines(self) -> Iterator[str]:
         """Lines on the effects that no part of the file stands for."""
@@ -71,3 +64,7 @@ class AuvControllers(Body):
         if self.vehicle.thrusters:
             yield "thrusters are left out: the matrix of thruster_allocation_matrix_controller is YAML"
         yield from self.left_out()
+
+
+def _named(names: Iterable[str], values: Iterable[float]) -> dict[str, str]:
+    return dict(zip(names, map(numbers, values), strict=True))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations_with_replacement, product
-from math import asin, atan2, inf
-from xml.etree import ElementTree as ET
+from math import asin, atan2, inf, isfinite
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,12 @@ import numpy as np
 from undertow.codegen.functions import Functions
 from undertow.codegen.spelling import identifier, slug
 from undertow.errors import UndertowError
+from undertow.files import templates
 from undertow.model.effect import Effect, Wrench
 from undertow.model.symbols import DOFS
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
+from undertow.version import __version__
 
 # Forward-left-up out of forward-starboard-down, for forces and for velocities: half a turn about x.
 FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
@@ -27,10 +29,26 @@ ADDED_MASS = ("added_mass", "added_mass_coupling", "added_mass_coriolis")
 STATICS = ("restoring", "net_buoyancy")
 
 
+class Push(NamedTuple):
+    """A thruster as a force along a line, body frame of undertow."""
+
+    name: str
+    point: Array  # of the line, m
+    direction: Array  # of length one
+    limit: float | None  # largest force either way, N; None without one
+
+    @property
+    def angles(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw that turn the first axis into the direction, rad."""
+        x, y, z = self.direction
+        return 0.0, -asin(max(-1.0, min(1.0, z))), atan2(y, x)
+
+
 class Body:
     """A vehicle as a rigid body with what water adds to it, for a program, and what is lost on the way."""
 
-    _root: ET.Element  # of the file
+    template: ClassVar[str]  # of the file
+    text: str  # the file
 
     def __init__(self, vehicle: Vehicle, program: str, gravity: float | None = None) -> None:
         # gravity: m/s^2, of a program that has one of its own
@@ -46,11 +64,12 @@ class Body:
                 f"vehicle '{vehicle.name}' has no mass m: {program} needs one, add rigid_body"
             )
 
-    @property
-    def text(self) -> str:
-        """The file."""
-        ET.indent(self._root)
-        return f'<?xml version="1.0"?>\n{ET.tostring(self._root, encoding="unicode")}\n'
+    def filled(self, **values: object) -> str:
+        """The template with name, mass and water of the vehicle and these values in it."""
+        template = templates("undertow.export", html=True).get_template(self.template)
+        water, general = self.vehicle.environment, {"name": self.name, "mass": self.values["m"]}
+        general |= {"g": water["g"], "density": water["rho"], "version": __version__, "numbers": numbers}
+        return template.render(general, **values) + "\n"
 
     # --- the model's numbers ------------------------------------------------------------------
     def wrench(self, ids: tuple[str, ...], nu: Array, nu_dot: Array) -> Array:
@@ -149,22 +168,21 @@ class Body:
             return inf
         return abs(self.values.get(f"thrust_{thruster.name}", 1.0)) * thruster.limit
 
-    def line_of_thrust(self, thruster: Thruster) -> tuple[float, Array, Array] | None:
-        """Size of the force per newton of thrust, its direction and a point of its line, body frame.
-
-        None where no single force has the wrench, which is then lost; so is a curve.
-        """
-        wrench = np.array(thruster.wrench, dtype=float)
-        force, moment = wrench[:3], wrench[3:]
-        size = float(np.linalg.norm(force))
-        if not size or abs(force @ moment) > 1e-9 * size:
-            self.losses.append(f"thruster {thruster.name} is left out: no single force has its wrench")
-            return None
-        if thruster.law is not None:
-            self.losses.append(
-                f"thruster {thruster.name}: {self.program} takes newtons, its curve is left out"
-            )
-        return size, force / size, point_of_action(force, moment)
+    def pushes(self) -> Iterator[Push]:
+        """Thrusters whose wrench a single force has; what is lost of the others, and of curves, is noted."""
+        for thruster in self.vehicle.thrusters:
+            force, moment = force_and_moment(thruster)
+            size = float(np.linalg.norm(force))
+            if not size or abs(force @ moment) > 1e-9 * size:
+                self.losses.append(f"thruster {thruster.name} is left out: no single force has its wrench")
+                continue
+            if thruster.law is not None:
+                self.losses.append(
+                    f"thruster {thruster.name}: {self.program} takes newtons, its curve is left out"
+                )
+            most = size * self.max_thrust(thruster)
+            point = point_of_action(force, moment)
+            yield Push(thruster.name, point, force / size, most if isfinite(most) else None)
 
     # --- what is lost --------------------------------------------------------------------------
     def free_motions(self) -> Iterator[str]:
@@ -197,6 +215,12 @@ class Body:
                 yield f"{effect.id} is left out{hint(effect)}"
 
 
+def force_and_moment(thruster: Thruster) -> tuple[Array, Array]:
+    """Wrench of one newton of thrust, body frame of undertow: force, and moment in m."""
+    wrench = np.array(thruster.wrench, dtype=float)
+    return wrench[:3], wrench[3:]
+
+
 def point_of_action(force: Array, moment: Array) -> Array:
     """The point next to the origin on the line of a force with this moment, m; the origin for a couple."""
     size = float(force @ force)
@@ -206,25 +230,6 @@ def point_of_action(force: Array, moment: Array) -> Array:
 def steiner(r: Array) -> Array:
     """Inertia of a unit mass at r about the origin, shape (3, 3)."""
     return np.asarray(r @ r * np.eye(3) - np.outer(r, r))
-
-
-def angles_of(direction: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw that turn the first axis into a direction of length one, rad."""
-    return 0.0, -asin(max(-1.0, min(1.0, direction[2]))), atan2(direction[1], direction[0])
-
-
-# --- XML ------------------------------------------------------------------------------------------
-def append_elements(parent: ET.Element, values: Mapping[str, object]) -> None:
-    """Append elements with a text or number each."""
-    for name, value in values.items():
-        shown = value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
-        ET.SubElement(parent, name).text = shown
-
-
-def attributes(parent: ET.Element, name: str, keys: Iterable[str], values: Iterable[float]) -> None:
-    """Append an element with numbers as attributes."""
-    shown = {key: numbers(value) for key, value in zip(keys, values, strict=True)}
-    ET.SubElement(parent, name, shown)
 
 
 def numbers(*values: float) -> str:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
-from undertow.version import __version__
 
-from .body import FLIP, RIGID, STATICS, Body, numbers, point_of_action, steiner
+from .body import FLIP, RIGID, STATICS, Body, force_and_moment, numbers, point_of_action, steiner
 
 _EXPORTED = (*RIGID, *STATICS, "thrusters")
 # Motions that a coordinate in the world's axes stands for only if these are there, too.
@@ -49,79 +47,60 @@ class Mjcf(Body):
     https://mujoco.readthedocs.io/en/stable/XMLreference.html
     """
 
+    template = "mjcf.xml"
+
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "MuJoCo")
-        self._root = self._model()
+        self.text = self.filled(
+            step=SETTINGS.step,
+            joints=self._joints(),
+            **self._masses(),
+            thrusters=[self._thruster(t) for t in self.vehicle.thrusters],
+        )
         self.losses += self._left_out_lines()
 
-    def _model(self) -> ET.Element:
-        root = ET.Element("mujoco", {"model": self.name})
-        root.append(ET.Comment(f" by undertow {__version__}: ENU, forward-left-up, SI; ctrl is thrust in N "))
-        # RK4, because nothing damps the motion and Euler's method adds energy to it.
-        step = {"timestep": repr(SETTINGS.step), "integrator": "RK4"}
-        gravity = numbers(0, 0, -self.vehicle.environment["g"])
-        ET.SubElement(root, "option", {**step, "gravity": gravity})
-        world = ET.SubElement(root, "worldbody")
-        ET.SubElement(world, "light", {"pos": "0 0 5"})
-        self._body(world)
-        actuators = ET.SubElement(root, "actuator")
-        for thruster in self.vehicle.thrusters:
-            self._motor(actuators, thruster)
-        return root
-
     # --- the body -----------------------------------------------------------------------------
-    def _body(self, world: ET.Element) -> None:
-        body = ET.SubElement(world, "body", {"name": self.name})
-        self._joints(body)
-        mass, centre, about = self.values["m"], self.centre_of_gravity, self.inertia
-        if self.buoyancy is None:
-            body.set("gravcomp", "1")
-            self.losses.append("the model has no weight and buoyancy: gravity is off for it")
-        else:
-            mass, centre, about = self._with_float(body, *self.buoyancy)
-        body.insert(0, _inertial(mass, centre, about))
-        for thruster in self.vehicle.thrusters:
-            position = FLIP[:3] * point_of_action(*_force_and_moment(thruster))
-            ET.SubElement(body, "site", {"name": thruster.name, "pos": numbers(*position)})
-
-    def _joints(self, body: ET.Element) -> None:
-        """Six degrees of freedom, or those of the model where coordinates of the world can be them."""
+    def _joints(self) -> list[dict[str, str]]:
+        """Degrees of freedom of the model where coordinates of the world can be them; else a free joint."""
         dofs = self.vehicle.degrees_of_freedom
         if len(dofs) == 6 or any(not need <= {*dofs} for turn, need in _NEEDS.items() if turn in dofs):
-            ET.SubElement(body, "freejoint", {"name": "free"})
             self.losses += self.free_motions()
-            return
-        for name in (d for d in _AXES if d in dofs):  # yaw before pitch before roll
-            kind = "hinge" if name in _NEEDS else "slide"
-            ET.SubElement(body, "joint", {"name": name, "type": kind, "axis": _AXES[name]})
+            return []
+        return [
+            {"name": name, "type": "hinge" if name in _NEEDS else "slide", "axis": axis}
+            for name, axis in _AXES.items()  # yaw before pitch before roll
+            if name in dofs
+        ]
 
-    def _with_float(self, body: ET.Element, lift: float, at: Array) -> tuple[float, Array, Array]:
-        """Append what lifts at the centre of buoyancy; mass, centre and inertia of the rest."""
-        m, r, g = self.values["m"], self.centre_of_gravity, self.vehicle.environment["g"]
+    def _masses(self) -> dict[str, object]:
+        """The body, and what lifts at the centre of buoyancy, if the model has weight and buoyancy."""
+        m, r, about = self.values["m"], self.centre_of_gravity, self.inertia
+        if self.buoyancy is None:
+            self.losses.append("the model has no weight and buoyancy: gravity is off for it")
+            return {"inertial": _inertial(m, r, about), "lift": None}
+        lift, at = self.buoyancy
         small = SETTINGS.float_share * m
         own = small * SETTINGS.float_radius**2 * np.eye(3)
         rest, centre = m - small, (m * r - small * at) / (m - small)
-        about_origin = self.inertia + m * steiner(r) - own - small * steiner(at)
-        element = ET.SubElement(body, "body", {"name": "float", "gravcomp": repr(lift / (small * g))})
-        element.append(_inertial(small, at, own))
-        half = numbers(*[self.cube_edge(lift) / 2] * 3)
-        shape = {"type": "box", "size": half, "pos": numbers(*FLIP[:3] * at), "mass": "0"}
-        ET.SubElement(element, "geom", shape)
-        return rest, centre, about_origin - rest * steiner(centre)
+        about_origin = about + m * steiner(r) - own - small * steiner(at)
+        floating = {
+            "share": lift / (small * self.vehicle.environment["g"]),
+            "inertial": _inertial(small, at, own),
+            "size": numbers(*[self.cube_edge(lift) / 2] * 3),
+        }
+        return {"inertial": _inertial(rest, centre, about_origin - rest * steiner(centre)), "lift": floating}
 
     # --- thrusters ------------------------------------------------------------------------------
-    def _motor(self, actuators: ET.Element, thruster: Thruster) -> None:
-        """A motor that gives the wrench of one newton of thrust at its site."""
-        force, moment = _force_and_moment(thruster)
-        twist = moment - np.cross(point_of_action(force, moment), force)
-        gear = numbers(*FLIP * np.concatenate([force, twist]))
-        motor = ET.SubElement(
-            actuators, "motor", {"name": thruster.name, "site": thruster.name, "gear": gear}
-        )
+    def _thruster(self, thruster: Thruster) -> dict[str, object]:
+        """A site, and a motor that gives the wrench of one newton of thrust there."""
+        force, moment = force_and_moment(thruster)
+        point = point_of_action(force, moment)
+        drive = {"gear": numbers(*FLIP * np.concatenate([force, moment - np.cross(point, force)]))}
         if thruster.law is not None:
             self.losses.append(f"thruster {thruster.name}: ctrl is thrust in newtons, its curve is left out")
         if isfinite(most := self.max_thrust(thruster)):
-            motor.set("ctrlrange", numbers(-most, most))
+            drive["ctrlrange"] = numbers(-most, most)
+        return {"name": thruster.name, "pos": numbers(*FLIP[:3] * point), "drive": drive}
 
     # --- what is lost --------------------------------------------------------------------------
     def _left_out_lines(self) -> Iterator[str]:
@@ -132,15 +111,8 @@ class Mjcf(Body):
             yield "nothing damps the motion: add these forces to qfrc_applied or xfrc_applied"
 
 
-def _force_and_moment(thruster: Thruster) -> tuple[Array, Array]:
-    """Wrench of one newton of thrust, body frame of undertow: force, and moment in m."""
-    wrench = np.array(thruster.wrench, dtype=float)
-    return wrench[:3], wrench[3:]
-
-
-def _inertial(mass: float, centre: Array, about: Array) -> ET.Element:
+def _inertial(mass: float, centre: Array, about: Array) -> dict[str, str]:
     """Mass, centre of gravity and inertia about it, given in the body frame of undertow."""
     turned = about * np.outer(FLIP[:3], FLIP[:3])
     full = numbers(*np.diag(turned), turned[0, 1], turned[0, 2], turned[1, 2])
-    position = numbers(*FLIP[:3] * centre)
-    return ET.Element("inertial", {"pos": position, "mass": repr(float(mass)), "fullinertia": full})
+    return {"pos": numbers(*FLIP[:3] * centre), "mass": repr(float(mass)), "fullinertia": full}

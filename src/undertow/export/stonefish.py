@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import asin, atan2, isfinite
-from xml.etree import ElementTree as ET
+from math import asin, atan2
 
 import numpy as np
 
 from undertow.model.effect import Flow
-from undertow.model.vehicle import Thruster, Vehicle
+from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
-from undertow.version import __version__
 
-from .body import Body, angles_of, fit, numbers, on_the_diagonal
+from .body import Body, fit, on_the_diagonal
 
 _GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
-_HULL = "hull"  # link, material and look
 
 
 @dataclass(frozen=True)
@@ -39,51 +36,25 @@ class Stonefish(Body):
     per face of a body stands in `SolidEntity.cpp` (1.4 and later).
     """
 
+    template = "stonefish.xml"
+
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle, "Stonefish", _GRAVITY)
-        lift, self._centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
+        lift, centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
         self._edge = self.cube_edge(lift)
-        self._root = self._scenario()
-        self.losses += self._left_out_lines()
-
-    def _scenario(self) -> ET.Element:
-        root = ET.Element("scenario")
-        root.append(ET.Comment(f" '{self.name}' by undertow {__version__}: NED, forward-starboard-down "))
-        environment, density = ET.SubElement(root, "environment"), numbers(self.vehicle.environment["rho"])
-        ET.SubElement(environment, "ned", {"latitude": "0.0", "longitude": "0.0"})
-        ocean = ET.SubElement(environment, "ocean")
-        ET.SubElement(ocean, "waves", {"height": "0.0"})
-        ET.SubElement(ocean, "water", {"density": density})
-        hull = {"name": _HULL, "density": density, "restitution": "0.0"}
-        ET.SubElement(ET.SubElement(root, "materials"), "material", hull)
-        look = {"gray": numbers(SETTINGS.gray), "roughness": numbers(SETTINGS.roughness)}
-        ET.SubElement(ET.SubElement(root, "looks"), "look", {"name": _HULL, **look})
-        self._robot(root)
-        return root
-
-    def _robot(self, root: ET.Element) -> None:
-        kind = {"name": self.name, "fixed": "false", "self_collisions": "false"}
-        robot = ET.SubElement(root, "robot", kind)
-        self._link(robot)
-        for thruster in self.vehicle.thrusters:
-            self._push(robot, thruster)
-        _transform(robot, "world_transform", np.array([0.0, 0.0, SETTINGS.depth * self._edge]))
-
-    def _link(self, robot: ET.Element) -> None:
-        """A cube that displaces as much water as the model's buoyancy says, with the body's own inertia."""
-        physics = {"type": "box", "physics": "floating", "buoyant": "true"}
-        link = ET.SubElement(robot, "base_link", {"name": _HULL, **physics})
         moments, angles = _principal(self.inertia)
-        ET.SubElement(link, "dimensions", {"xyz": numbers(*[self._edge] * 3)})
-        _transform(link, "origin", self._centre)
-        ET.SubElement(link, "material", {"name": _HULL})
-        ET.SubElement(link, "look", {"name": _HULL})
-        ET.SubElement(link, "mass", {"value": numbers(self.values["m"])})
-        ET.SubElement(link, "inertia", {"xyz": numbers(*moments)})
-        _transform(link, "cg", self.centre_of_gravity, angles)
-        viscous, quadratic = self._drag()
-        drag = {"viscous_drag": numbers(*viscous), "quadratic_drag": numbers(*quadratic)}
-        ET.SubElement(link, "hydrodynamics", drag)
+        # A cube that displaces as much water as the model's buoyancy says, with the body's own inertia.
+        self.text = self.filled(
+            settings=SETTINGS,
+            edge=self._edge,
+            centre=centre,
+            moments=moments,
+            angles=angles,
+            gravity=self.centre_of_gravity,
+            drag=self._drag(),
+            pushes=list(self.pushes()),
+        )
+        self.losses += self._left_out_lines()
 
     def _drag(self) -> Array:
         """Coefficients of viscous and quadratic drag that brake the cube along each axis, shape (2, 3).
@@ -100,18 +71,6 @@ class Stonefish(Body):
                 "quadratic drag grows with the third power of the speed in Stonefish: right at 1 m/s"
             )
         return np.maximum(found, 0.0)
-
-    def _push(self, robot: ET.Element, thruster: Thruster) -> None:
-        line = self.line_of_thrust(thruster)
-        if line is None:
-            return
-        size, direction, point = line
-        push = ET.SubElement(robot, "actuator", {"name": thruster.name, "type": "push"})
-        if isfinite(most := size * self.max_thrust(thruster)):
-            limits = {"lower_limit": numbers(-most), "upper_limit": numbers(most)}
-            ET.SubElement(push, "specs", {**limits, "inverted": "false"})
-        _transform(push, "origin", point, angles_of(direction))
-        ET.SubElement(push, "link", {"name": _HULL})
 
     # --- what is lost --------------------------------------------------------------------------
     def _left_out_lines(self) -> Iterator[str]:
@@ -134,9 +93,3 @@ def _principal(inertia: Array) -> tuple[Array, tuple[float, float, float]]:
     axes[:, 0] *= np.linalg.det(axes)  # right-handed
     pitch = -asin(max(-1.0, min(1.0, axes[2, 0])))
     return moments, (atan2(axes[2, 1], axes[2, 2]), pitch, atan2(axes[1, 0], axes[0, 0]))
-
-
-def _transform(
-    parent: ET.Element, name: str, position: Array, angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> None:
-    ET.SubElement(parent, name, {"xyz": numbers(*position), "rpy": numbers(*angles)})
