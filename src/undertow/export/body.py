@@ -66,10 +66,9 @@ class Body:
 
     def filled(self, **values: object) -> str:
         """The template with name, mass and water of the vehicle and these values in it."""
-        template = templates("undertow.export", html=True).get_template(self.template)
         water, general = self.vehicle.environment, {"name": self.name, "mass": self.values["m"]}
-        general |= {"g": water["g"], "density": water["rho"], "version": __version__, "numbers": numbers}
-        return template.render(general, **values) + "\n"
+        general |= {"g": water["g"], "density": water["rho"], "numbers": numbers}
+        return filled(self.template, **general, **values)
 
     # --- the model's numbers ------------------------------------------------------------------
     def wrench(self, ids: tuple[str, ...], nu: Array, nu_dot: Array) -> Array:
@@ -230,6 +229,12 @@ def point_of_action(force: Array, moment: Array) -> Array:
 def steiner(r: Array) -> Array:
     """Inertia of a unit mass at r about the origin, shape (3, 3)."""
     return np.asarray(r @ r * np.eye(3) - np.outer(r, r))
+
+
+def filled(template: str, **values: object) -> str:
+    """A template of exports with values in it."""
+    found = templates("undertow.export", html=True).get_template(template)
+    return found.render(version=__version__, **values) + "\n"
 
 
 def numbers(*values: float) -> str:

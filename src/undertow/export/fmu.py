@@ -6,12 +6,10 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from importlib.resources import files
 from io import BytesIO
 from math import isinf
 from typing import Literal, NamedTuple
-from xml.etree import ElementTree as ET
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import casadi as ca
@@ -26,6 +24,8 @@ from undertow.model.symbols import FORCE, FORCE_UNITS
 from undertow.model.units import base_exponents
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
+
+from .body import filled
 
 Version = Literal["2.0", "3.0"]
 # An archive says when its files were made; the same vehicle is to give the same bytes.
@@ -59,6 +59,23 @@ class Variable(NamedTuple):
     derivative_of: int | None = None
     limits: tuple[float, float] | None = None  # lowest and highest value
     meaning: str = ""
+
+    @property
+    def attributes(self) -> dict[str, object]:
+        """What the description says of its kind; None is left out."""
+        found = {"causality": self.causality, "variability": self.variability, "initial": self.initial}
+        return {**found, "description": self.meaning or None}
+
+    def numbers(self, first: int) -> dict[str, object]:
+        """What the description says of its values; `first`: what it counts the first variable as."""
+        low, high = self.limits or (None, None)
+        return {
+            "unit": self.unit or None,
+            "derivative": None if self.derivative_of is None else self.derivative_of + first,
+            "min": low,
+            "max": high,
+            "start": None if self.start is None else _double(self.start),
+        }
 
 
 class Fmu:
@@ -141,11 +158,16 @@ class Fmu:
         wrapper = f"fmi{self.version[0]}.c"
         own = (folder / wrapper).read_text(encoding="utf-8")
         core = fill((folder / "fmu.h").read_text(encoding="utf-8"), self._fields)
-        texts = {"modelDescription.xml": self._description(wrapper)}
+        texts = {"modelDescription.xml": self._description()}
         if self.version == "3.0":
-            texts["sources/buildDescription.xml"] = _build(self.name, wrapper)
-        page = "documentation/index.html"
-        return {**texts, f"sources/{wrapper}": own, "sources/fmu.h": core, page: self._readme()}
+            texts["sources/buildDescription.xml"] = filled("fmi3_build.xml", name=self.name)
+        page = filled("fmu.html", title=self.vehicle.name, losses=self.losses)
+        return {
+            **texts,
+            f"sources/{wrapper}": own,
+            "sources/fmu.h": core,
+            "documentation/index.html": page,
+        }
 
     @cached_property
     def token(self) -> str:
@@ -193,60 +215,23 @@ class Fmu:
         return ca.Function("slopes", inputs, [matrix], ["x", "u", "p", "t"], ["s"])
 
     # --- the description ------------------------------------------------------------------------
-    def _description(self, wrapper: str) -> str:
-        third = self.version == "3.0"
-        root = ET.Element(
-            "fmiModelDescription",
-            {
-                "fmiVersion": self.version,
-                "modelName": self.vehicle.name,
-                "instantiationToken" if third else "guid": self.token,
-                "description": "Motion of an underwater or surface vehicle; SI, NED, forward-starboard-down",
-                "generationTool": f"undertow {__version__}",
-                "variableNamingConvention": "flat",
-            },
+    def _description(self) -> str:
+        variables = self.variables
+        return filled(
+            f"fmi{self.version[0]}.xml",
+            fmi=self.version,
+            title=self.vehicle.name,
+            name=self.name,
+            token=self.token,
+            settings=SETTINGS,
+            units={unit: _base(unit) for unit in sorted({v.unit for v in variables if v.unit})},
+            variables=variables,
+            # what the outputs and the derivatives depend on, and what is known only after initialisation
+            needs=self._dependencies,
+            outputs=[i for i, v in enumerate(variables) if v.causality == "output"],
+            rates=[i for i, v in enumerate(variables) if v.derivative_of is not None],
+            calculated=[i for i, v in enumerate(variables) if v.initial == "calculated"],
         )
-        self._kinds(root, wrapper)
-        units = ET.SubElement(root, "UnitDefinitions")
-        for unit in sorted({v.unit for v in self.variables if v.unit}):
-            _unit(units, unit)
-        times = {"startTime": "0", "stopTime": f"{SETTINGS.stop_time:g}"}
-        times["stepSize"] = f"{SETTINGS.communication_step:g}"
-        ET.SubElement(root, "DefaultExperiment", times)
-        variables = ET.SubElement(root, "ModelVariables")
-        for reference, variable in enumerate(self.variables):
-            (_float64 if third else _scalar)(variables, reference, variable)
-        self._structure(root)
-        return _text(root)
-
-    def _kinds(self, root: ET.Element, wrapper: str) -> None:
-        third = self.version == "3.0"
-        can = {"modelIdentifier": self.name, "canBeInstantiatedOnlyOncePerProcess": "false"}
-        both = ["canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"]
-        second = ["canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative"]
-        can |= dict.fromkeys(both if third else second, "true")
-        for kind in ("ModelExchange", "CoSimulation"):
-            more = {"canHandleVariableCommunicationStepSize": "true"} if kind == "CoSimulation" else {}
-            element = ET.SubElement(root, kind, {**can, **more})
-            if not third:
-                ET.SubElement(ET.SubElement(element, "SourceFiles"), "File", {"name": wrapper})
-
-    def _structure(self, root: ET.Element) -> None:
-        """What the outputs and the derivatives depend on, and what is known only after initialisation."""
-        outputs = [i for i, v in enumerate(self.variables) if v.causality == "output"]
-        rates = [i for i, v in enumerate(self.variables) if v.derivative_of is not None]
-        unknown = [i for i, v in enumerate(self.variables) if v.initial == "calculated"]
-        structure, third = ET.SubElement(root, "ModelStructure"), self.version == "3.0"
-        groups = (("Output", outputs), ("ContinuousStateDerivative", rates), ("InitialUnknown", unknown))
-        for name, references in groups:
-            parent = structure if third else _listed(structure, name)
-            for reference in references:
-                needs = None if name == "InitialUnknown" else self._dependencies[reference]
-                key, shift = ("valueReference", 0) if third else ("index", 1)
-                found = {key: str(reference + shift)}
-                if needs is not None:
-                    found["dependencies"] = " ".join(str(i + shift) for i in needs)
-                ET.SubElement(parent, name if third else "Unknown", found)
 
     @cached_property
     def _dependencies(self) -> dict[int, list[int]]:
@@ -263,19 +248,6 @@ class Fmu:
         for k, j in zip(*pattern.get_triplet(), strict=True):
             found[1 + nx + k if k < nx else first_force + k - nx].append(places[j])
         return {reference: sorted(needs) for reference, needs in found.items()}
-
-    def _readme(self) -> str:
-        """What a user of the unit has to know."""
-        lines = [
-            "SI units, angles in rad, frames NED and forward-starboard-down, derivatives in SNAME signs.",
-            "The states start at zero; commands are held by the importer.",
-            "Co-simulation: fourth-order Runge-Kutta, no step longer than the parameter max_step.",
-            *(f"Not in the unit: {line}." for line in self.losses),
-        ]
-        body = "\n".join(f"<p>{escape(line)}</p>" for line in lines)
-        title = escape(f"{self.vehicle.name}, by undertow {__version__}")
-        head = f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{title}</title></head>'
-        return f"{head}\n<body>\n<h1>{title}</h1>\n{body}\n</body>\n</html>\n"
 
 
 # --- variables ------------------------------------------------------------------------------------
@@ -297,63 +269,13 @@ def _unique_name(name: str, taken: Iterable[str], prefix: str) -> str:
     return prefix + name if name in taken else name
 
 
-def _attributes(variable: Variable) -> dict[str, str]:
-    found = {"causality": variable.causality, "variability": variable.variability}
-    if variable.initial:
-        found["initial"] = variable.initial
-    return found | ({"description": variable.meaning} if variable.meaning else {})
-
-
-def _numbers(variable: Variable) -> dict[str, str]:
-    found = {"unit": variable.unit} if variable.unit else {}
-    if variable.derivative_of is not None:
-        found["derivative"] = str(variable.derivative_of)
-    if variable.limits is not None:
-        found |= dict(zip(("min", "max"), map(repr, variable.limits), strict=True))
-    return found | ({} if variable.start is None else {"start": _double(variable.start)})
-
-
 def _double(value: float) -> str:
     return ("-INF" if value < 0 else "INF") if isinf(value) else repr(float(value))
 
 
-# --- XML ------------------------------------------------------------------------------------------
-def _float64(parent: ET.Element, reference: int, variable: Variable) -> None:
-    head = {"name": variable.name, "valueReference": str(reference)}
-    ET.SubElement(parent, "Float64", head | _attributes(variable) | _numbers(variable))
-
-
-def _scalar(parent: ET.Element, reference: int, variable: Variable) -> None:
-    head = {"name": variable.name, "valueReference": str(reference)} | _attributes(variable)
-    numbers = _numbers(variable)
-    if variable.derivative_of is not None:  # FMI 2 counts the variables from one
-        numbers["derivative"] = str(variable.derivative_of + 1)
-    ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), "Real", numbers)
-
-
-def _listed(structure: ET.Element, name: str) -> ET.Element:
-    lists = {"ContinuousStateDerivative": "Derivatives", "Output": "Outputs"}
-    return ET.SubElement(structure, lists.get(name, "InitialUnknowns"))
-
-
-def _unit(parent: ET.Element, unit: str) -> None:
-    """A unit by its exponents in the base units; what a command is counted in has none."""
-    element = ET.SubElement(parent, "Unit", {"name": unit})
+def _base(unit: str) -> dict[str, object] | None:
+    """Exponents of a unit in the base units; None where it counts commands."""
     if "command" in unit:
-        return
+        return None
     scale, exponents = base_exponents(unit)
-    more = {} if scale == 1.0 else {"factor": repr(scale)}
-    ET.SubElement(element, "BaseUnit", {k: str(v) for k, v in exponents.items()} | more)
-
-
-def _build(name: str, wrapper: str) -> str:
-    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
-    sources = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
-    ET.SubElement(sources, "SourceFile", {"name": wrapper})
-    return _text(root)
-
-
-def _text(root: ET.Element) -> str:
-    ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+    return {**exponents, "factor": None if scale == 1.0 else scale}
