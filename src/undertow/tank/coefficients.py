@@ -281,15 +281,13 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
     names = columns(case.motion)
     kind = "prescribed motion, force measured" if case.prescribed else "force given, one motion free"
     flow = "k-omega SST with wall functions" if case.turbulent else "laminar"
-    document = tomlkit.document()
-    for line in (
+    lines = (
         f"Virtual towing tank: {case.name} of {tank.hull}; {kind}; no measurement noise.",
         f"grid {record.grid}: {record.cells} cells, {tank.cell_of(record.grid):.4g} m at the hull, "
         f"{case.copies} times mirrored",
         f"OpenFOAM pimpleFoam, {flow}, time step {tank.step_of(case, record.grid):.4g} s, "
         f"{record.seconds:.0f} s of a processor",
-    ):
-        document.add(tomlkit.comment(line))
+    )
     mark = "rad" if turns else "m"
     mapping = {
         "schema": SCHEMA,
@@ -303,8 +301,7 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
             names[3]: {"channel": VELOCITY[place], "unit": f"{mark}/s"},
         },
     }
-    document.update(mapping)
-    return tomlkit.dumps(document)
+    return "".join(f"# {line}\n" for line in lines) + tomlkit.dumps(mapping)
 
 
 def read_record(path: Path, grid: int) -> Record:

@@ -148,14 +148,10 @@ class Tank(_Strict):
     def text(self) -> str:
         """The content of `tank.toml`."""
         content = self.model_dump(by_alias=True, exclude={"rules"}, exclude_none=True, mode="json")
-        document = tomlkit.document()
-        document.add(
-            tomlkit.comment(
-                "A virtual towing tank, written by `undertow tank new`; `undertow tank run` computes it."
-            )
+        heading = (
+            "# A virtual towing tank, written by `undertow tank new`; `undertow tank run` computes it.\n"
         )
-        document.update({"schema": content.pop("schema"), **content, "rules": asdict(RULES)})
-        return tomlkit.dumps(document)
+        return heading + tomlkit.dumps({"schema": content.pop("schema"), **content, "rules": asdict(RULES)})
 
 
 def folder_of(root: Path, case: Case, grid: int) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import control as ct
 import numpy as np
@@ -68,25 +67,22 @@ class Design:
 
     def to_toml(self, source: str) -> str:
         """Text of a gain file; `source` says in it where the gains are from."""
-        gains, document = self.gains, tomlkit.document()
-        document.add(
-            tomlkit.comment("Linear-quadratic design at hover with the diagonal of the optimal gain.")
-        )
-        document["schema"] = "undertow/gains/1"
-        document["name"] = gains.name
-        document["description"] = f"{gains.law.id} for {gains.plant.vehicle.name}"
-        document["source"] = source
-        document["law"] = gains.law.id
-        if gains.unactuated:
-            document["unactuated"] = list(gains.unactuated)
-        tables: Any = tomlkit.table()
+        gains, rows = self.gains, {}
         for gain in type(gains.law).gains:
-            row = tomlkit.inline_table()
+            rows[gain.name] = tomlkit.inline_table()
             for c in self.coordinates:
-                row[c] = f"{gains.values[str(gain.symbol(c))]:.6g} {gain.unit(c)}"
-            tables[gain.name] = row
-        document["gains"] = tables
-        return tomlkit.dumps(document)
+                rows[gain.name][c] = f"{gains.values[str(gain.symbol(c))]:.6g} {gain.unit(c)}"
+        content = {
+            "schema": "undertow/gains/1",
+            "name": gains.name,
+            "description": f"{gains.law.id} for {gains.plant.vehicle.name}",
+            "source": source,
+            "law": gains.law.id,
+            **({"unactuated": list(gains.unactuated)} if gains.unactuated else {}),
+            "gains": rows,
+        }
+        heading = "# Linear-quadratic design at hover with the diagonal of the optimal gain.\n"
+        return heading + tomlkit.dumps(content)
 
 
 def lqr(
