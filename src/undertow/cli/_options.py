@@ -6,14 +6,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import is_dataclass
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from undertow.errors import UndertowError
-
-if TYPE_CHECKING:
-    from undertow.model.effect import Effect
 
 VehicleArgument = Annotated[
     str, typer.Argument(metavar="VEHICLE", help="Vehicle file (TOML), or the name of a bundled vehicle.")
@@ -49,13 +46,6 @@ def bundled(command: Callable[..., Any]) -> Callable[..., Any]:
     keywords = [p.replace(kind=Parameter.KEYWORD_ONLY) for p in parameters]
     expanded.__signature__ = Signature(keywords)  # type: ignore[attr-defined]
     return expanded
-
-
-def known_effects(files: Iterable[Path] | None) -> dict[str, type[Effect]]:
-    """The catalogue with the effects of the files of a user."""
-    from undertow.model.catalogue import catalogue, load_effects, merge
-
-    return merge(catalogue(), [cls for file in files or () for cls in load_effects(file)])
 
 
 def target_of(

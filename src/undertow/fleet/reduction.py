@@ -30,7 +30,7 @@ from undertow.identification.logs.chunks import long_logs
 from undertow.identification.logs.mapping import CommandPolicy, LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.catalogue import Catalogue, catalogue, load_effects, merge
+from undertow.model.catalogue import Catalogue, with_effects
 from undertow.model.effect import Effect, Measurement
 from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
@@ -244,7 +244,7 @@ def with_fingerprint(job: Job) -> tuple[Job, Panel]:
 
 def _made(job: Job) -> Panel:
     files = [Path(f) for f in job.effects]
-    known = merge(catalogue(), [cls for f in files for cls in load_effects(f)])
+    known = with_effects(files)
     vehicle = load_vehicle(job.vehicle, effect_files=files)
     changed = {n: replace(vehicle.value_of(n), value=v) for n, v in job.values}
     return Panel(vehicle.with_values(changed), known, job.daily)

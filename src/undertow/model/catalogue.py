@@ -88,6 +88,11 @@ def merge(known: Catalogue, added: Iterable[type[Effect]]) -> dict[str, type[Eff
     return result
 
 
+def with_effects(files: Iterable[Path]) -> Catalogue:
+    """The catalogue with the effects of the files of a user, which are run."""
+    return merge(catalogue(), [cls for file in files for cls in load_effects(file)])
+
+
 class _Uncached(SourceFileLoader):
     """Runs a file without writing its bytecode."""
 

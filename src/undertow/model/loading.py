@@ -17,7 +17,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError, nearest
 
-from .catalogue import Catalogue, catalogue, companions, load_effects, logged_quantities, lookup, merge
+from .catalogue import Catalogue, companions, logged_quantities, lookup, with_effects
 from .effect import Effect, Surface
 from .effects.control_surfaces import ControlSurfaces
 from .effects.propellers import Propellers
@@ -253,7 +253,7 @@ def _known_effects(table: VehicleTable, path: Path, named: list[Path], trust: bo
         )
     # The same file under two paths is one file.
     chosen = {file.resolve(): file for file in [*named, *(wanted if trust else [])]}.values()
-    return merge(catalogue(), [cls for file in chosen for cls in load_effects(file)])
+    return with_effects(chosen)
 
 
 def vehicle_from_table(

@@ -35,9 +35,8 @@ from undertow.identification.report.page import (
 from undertow.identification.report.pictures import RunTraces, decimated
 from undertow.identification.report.results import addition_sentence
 from undertow.identification.report.scaffold import check_id, effect_file, suggested
-from undertow.model.catalogue import catalogue, load_effects, merge
+from undertow.model.catalogue import Catalogue, with_effects
 from undertow.model.describe import describe, equations_on
-from undertow.model.effect import Effect
 from undertow.model.loading import load_vehicle
 from undertow.model.parameter import printed
 from undertow.model.saving import save_vehicle
@@ -80,9 +79,9 @@ class Job:
         return [Path(path) for path in self.place.session.effects]
 
     @cached_property
-    def known(self) -> dict[str, type[Effect]]:
+    def known(self) -> Catalogue:
         """The catalogue with the effects of the user."""
-        return merge(catalogue(), [cls for path in self.effect_files for cls in load_effects(path)])
+        return with_effects(self.effect_files)
 
     def vehicle_of(self, step: int) -> Vehicle:
         """A model of the session."""

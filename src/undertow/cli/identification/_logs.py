@@ -12,7 +12,7 @@ import typer
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 
-from .._options import EffectsOption, known_effects, words
+from .._options import EffectsOption, words
 from .._terminal import progress, say
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from undertow.identification.logs.run import Run
     from undertow.identification.long_logs.choosing import Budget, Chosen
     from undertow.identification.report.sentences import CommandLine
-    from undertow.model.effect import Effect
+    from undertow.model.catalogue import Catalogue
     from undertow.model.vehicle import Vehicle
     from undertow.typing import Progress
 
@@ -171,9 +171,11 @@ class ReadOptions:
         return None if self.map is None else read_mapping(self.map)
 
     @property
-    def known(self) -> dict[str, type[Effect]]:
+    def known(self) -> Catalogue:
         """The catalogue with the effects of the user."""
-        return known_effects(self.effects)
+        from undertow.model.catalogue import with_effects
+
+        return with_effects(self.effects or [])
 
     def load(
         self,

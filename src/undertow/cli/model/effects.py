@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._options import EffectsOption, JsonOption, NewForceOption, known_effects, new_file
+from .._options import EffectsOption, JsonOption, NewForceOption, new_file
 from .._terminal import console, print_json, progress, say, section, table, text
 
 if TYPE_CHECKING:
@@ -36,9 +36,11 @@ _FAMILIES = ("inertia", "damping", "statics", "water", "tether", "actuation", "m
 
 @app.callback(invoke_without_command=True)
 def effects(context: typer.Context, json: JsonOption = False, effects: EffectsOption = None) -> None:
+    from undertow.model.catalogue import with_effects
+
     if context.invoked_subcommand is not None:
         return
-    known = known_effects(effects)
+    known = with_effects(effects or [])
     if json:
         print_json([_summary(cls) for cls in known.values()])
     else:
@@ -48,10 +50,10 @@ def effects(context: typer.Context, json: JsonOption = False, effects: EffectsOp
 @app.command()
 def show(id: Annotated[str, _ID], json: JsonOption = False, effects: EffectsOption = None) -> None:
     """Show meaning, equations, parameters, reference and typical signature of an effect."""
-    from undertow.model.catalogue import lookup
+    from undertow.model.catalogue import lookup, with_effects
     from undertow.model.describe import describe
 
-    known = known_effects(effects)
+    known = with_effects(effects or [])
     description = describe(lookup(id, known), known)
     if json:
         print_json(description.as_dict())

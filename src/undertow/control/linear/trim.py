@@ -348,26 +348,18 @@ def find_trim(
     request = checked_request(vehicle, held, free)
     trim = _find(vehicle, request, dict(direction or {}), numeric)
     assumed = [f"{name}={sign}" for name, sign in trim.direction.items() if name not in (direction or {})]
-    return replace(trim, remarks=(*_direction_remark(assumed), *_idle_remark(trim)))
-
-
-def _direction_remark(assumed: Collection[str]) -> list[str]:
-    if not assumed:
-        return []
-    return [
-        "at rest in the water the direction of motion is ambiguous: parameters for "
-        f"{', '.join(assumed)} are taken"
-    ]
-
-
-def _idle_remark(trim: Trim) -> list[str]:
-    """What to say of commands around which a small change has no effect."""
-    if not trim.ineffective:
-        return []
-    return [
-        f"small changes of {', '.join(trim.ineffective)} have no effect here (a dead band, a flat part of a "
-        "thrust curve, or a rudder without flow): linearise at a motion that needs them (--at)"
-    ]
+    remarks = []
+    if assumed:
+        remarks.append(
+            "at rest in the water the direction of motion is ambiguous: parameters for "
+            f"{', '.join(assumed)} are taken"
+        )
+    if trim.ineffective:
+        remarks.append(
+            f"small changes of {', '.join(trim.ineffective)} have no effect here (a dead band, a flat part "
+            "of a thrust curve, or a rudder without flow): linearise at a motion that needs them (--at)"
+        )
+    return replace(trim, remarks=tuple(remarks))
 
 
 def _find(
