@@ -348,7 +348,8 @@ class Association:
     ) -> float:
         """P-value of a term under autoregressive noise, estimated from what remains without it.
 
-        lengths: of the segments of each of the three samples.
+        lengths: of the segments of each of the three samples. Where a strong term is removed, far less noise
+        is left than was counted with: that holds for what the other equations say of the parameters, too.
         """
         rest = self.without(found).samples.fitted.r
         noise = AutoregressiveNoise.of(np.split(rest, np.cumsum(lengths[0])[:-1]))
@@ -357,7 +358,8 @@ class Association:
             replace(s, columns=s.columns[:, place]).innovations(noise, each)
             for s, each in zip(self.samples, lengths, strict=True)
         )
-        alone = Association((found.term,), Samples(*samples), self.stiffness).strongest()
+        stiffness = self.stiffness / max(noise.scale, 1e-12) ** 2
+        alone = Association((found.term,), Samples(*samples), stiffness).strongest()
         return 1.0 if alone is None else alone.chance
 
     def excluding(self, found: AssociatedTerm) -> Association:
