@@ -548,6 +548,26 @@ def test_archives_are_named(log):
     refused(log, gzip.compress(stream.getvalue()), "packed by zip", name="run.csv.gz")
 
 
+@pytest.mark.parametrize(
+    ("part", "content"),
+    [
+        ("xl/workbook.xml", b"<workbook/>"),
+        ("mimetype", b"application/vnd.oasis.opendocument.spreadsheet"),
+    ],
+)
+def test_spreadsheets_are_named(log, part, content):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as packed:
+        packed.writestr(part, content)
+    refused(log, stream.getvalue(), "is a spreadsheet: save the sheet with the log as CSV")
+
+
+@pytest.mark.parametrize("rows", ["0,1,2,3,4\n1,2,3,4,5\n", "0,1,2,,\n1,2,3,,\n"])
+def test_columns_without_a_name_are_left_out(log, rows):
+    run = log("t,u,f1,,\n" + rows, channels=["f1"])
+    np.testing.assert_array_equal(run.channels["f1"], [2, 3])
+
+
 @pytest.mark.parametrize("fault", ["cut", "flipped", "ended", "checksum"])
 def test_a_damaged_gzip_file_is_one_line_whole_and_in_parts(log, tmp_path, fault):
     rng = np.random.default_rng(1)

@@ -176,6 +176,8 @@ _PACKED = {
     b"x\xda": "zlib",
     b"7z\xbc\xaf": "7z",
 }
+# Names of parts of a spreadsheet, which its zip archive states unpacked: Excel, OpenDocument.
+_SPREADSHEET = (b"xl/workbook.", b"application/vnd.oasis.opendocument.spreadsheet")
 DAMAGED = (OSError, EOFError, zlib.error)
 """What reading a damaged gzip file raises, whole or in parts."""
 _PIECE_BYTES = 1 << 20
@@ -356,9 +358,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
 
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
-    packed = next((how for magic, how in _PACKED.items() if text.startswith(magic)), None)
-    if packed is not None:
-        raise UndertowError(f"{where} is packed by {packed}: unpack it, or pack it with gzip")
+    _refuse_packed(text, where)
     if mapping.delimiter == " ":  # several blanks in a row are one, as in columns that stand below each other
         text = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text))
     header = header_of(text, mapping)
@@ -383,7 +383,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     # Polars would give the second of two columns of one name another one.
     _refuse_doubled(names, where)
     try:
-        return pl.read_csv(
+        table = pl.read_csv(
             text,
             infer_schema=False,
             separator=mapping.delimiter,
@@ -392,6 +392,16 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         )
     except _UNREADABLE as error:
         raise (_too_many_cells(text, mapping, where) or error) from error
+    # Spreadsheets leave several without a name behind a table: only the first, an index, can be meant.
+    return table.drop(n for n, name in zip(table.columns, names, strict=True) if n and not name.strip())
+
+
+def _refuse_packed(text: bytes, where: str) -> None:
+    packed = next((how for magic, how in _PACKED.items() if text.startswith(magic)), None)
+    if packed == "zip" and any(part in text for part in _SPREADSHEET):
+        raise UndertowError(f"{where} is a spreadsheet: save the sheet with the log as CSV")
+    if packed is not None:
+        raise UndertowError(f"{where} is packed by {packed}: unpack it, or pack it with gzip")
 
 
 def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
@@ -446,7 +456,8 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
 
 
 def _refuse_doubled(columns: Iterable[str], where: str) -> None:
-    doubled = [name for name, count in Counter(name.strip() for name in columns).items() if count > 1]
+    known = Counter(name.strip() for name in columns)
+    doubled = [name for name, count in known.items() if count > 1 and name]
     if doubled:
         raise UndertowError(
             f"{where} has column {doubled[0]!r} more than once: rename one of them in the header"
