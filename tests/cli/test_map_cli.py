@@ -834,6 +834,10 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
             "0,1,0\n0.1,1.1,0.01\n0.2,1.2,0.02\n",
             "begins with numbers (0, 1, 0 …): write a line with the names",
         ),
+        (
+            "48.2,-3.0,120,[-10.0]\n48.3,-3.0,119,[-10.1]\n48.4,-3.0,118,[-10.2]\n",
+            "begins with numbers (48.2, -3.0, 120 …): write a line with the names of its 4 columns",
+        ),
         ("A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9, "line 3 has 3 cells, the header 1: delete lines"),
     ],
 )

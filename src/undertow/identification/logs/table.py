@@ -374,12 +374,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
-    counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
-    if len(names) > 1 and all(map(_is_number, names)) and names not in counted:
-        raise UndertowError(
-            f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
-            f"{len(names)} columns on top"
-        )
+    _refuse_no_names(names, _row_after(header, text, mapping), where)
     # Polars would give the second of two columns of one name another one.
     _refuse_doubled(names, where)
     try:
@@ -402,6 +397,25 @@ def _refuse_packed(text: bytes, where: str) -> None:
         raise UndertowError(f"{where} is a spreadsheet: save the sheet with the log as CSV")
     if packed is not None:
         raise UndertowError(f"{where} is packed by {packed}: unpack it, or pack it with gzip")
+
+
+def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
+    """The cells of the line after a header."""
+    begin = text.find(header) + len(header)
+    line = header_of(text[begin : begin + _PIECE_BYTES], mapping).decode(errors="replace")
+    return next(csv.reader([line], delimiter=mapping.delimiter), [])
+
+
+def _refuse_no_names(names: list[str], after: list[str], where: str) -> None:
+    """Refuse a first line with numbers just where the line after it has them: that is no header."""
+    numeric, later = ([_is_number(cell) for cell in row] for row in (names, after))
+    counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
+    alike = all(numeric) or (any(numeric) and numeric == later)
+    if len(names) > 1 and alike and names not in counted:
+        raise UndertowError(
+            f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
+            f"{len(names)} columns on top"
+        )
 
 
 def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
