@@ -12,6 +12,7 @@ from undertow.identification.doctor.headings import heading_findings
 from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.model.loading import load_vehicle
 
 DOFS = ("surge", "sway", "yaw")
 Columns = dict[str, np.ndarray]
@@ -27,9 +28,9 @@ def _log(drift: float = 0.0, turns: float = 2.0) -> Columns:
     return {"t": t, "x": x + 0.01 * noise[0], "y": y + 0.01 * noise[1], "psi": psi + 0.002 * noise[2]}
 
 
-def _found(columns: Columns) -> list[Finding]:
+def _found(columns: Columns, vehicle: str = "bluerov2") -> list[Finding]:
     run = velocities_from_pose(run_of("log", columns), DOFS)
-    return list(heading_findings(LogMapping(), [run]))
+    return list(heading_findings(load_vehicle(vehicle), LogMapping(), [run]))
 
 
 def test_a_boat_that_moves_where_it_heads_is_read_rightly() -> None:
@@ -70,4 +71,19 @@ def test_measured_velocities_need_no_course() -> None:
     run = run_of(
         "log", {**columns, "u": np.ones(400), "v": np.zeros(400), "r": np.gradient(columns["psi"], 0.5)}
     )
-    assert list(heading_findings(LogMapping(), [run])) == []
+    assert list(heading_findings(load_vehicle("bluerov2"), LogMapping(), [run])) == []
+
+
+def test_a_boat_that_nothing_pushes_sideways_has_a_heading_that_counts_from_elsewhere() -> None:
+    (found,) = _found(_log(drift=-2.6), "otter")
+    assert (found.id, found.severity) == ("heading_offset", "warning")
+    assert "no command pushes it sideways" in found.text
+    offset = float(found.mapping.split("offset = ")[1].split()[0].rstrip(","))
+    assert offset == pytest.approx(-2.6, abs=0.02)
+    assert "moves astern" in found.alternatives[0]
+    assert not _found(_log(drift=1.5), "otter")[0].alternatives
+
+
+def test_a_boat_on_one_heading_may_drift_with_the_water() -> None:
+    (found,) = _found(_log(drift=1.5, turns=0.1), "otter")
+    assert found.id == "heading_unchecked"

@@ -361,7 +361,7 @@ class _Examiner:
 
     def check_sensors(self) -> None:
         self.findings += sensors.not_compared(self.kinematics, self.vehicle)
-        self.findings += heading_findings(self.mapping, self.runs)
+        self.findings += heading_findings(self.vehicle, self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
         self._undo_deviation()
         kinematics = self.kinematics

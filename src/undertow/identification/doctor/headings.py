@@ -10,9 +10,10 @@ import numpy as np
 from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import LogMapping, as_toml
 from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
 
 from .dynamics import rederived
-from .mistakes import reading_mistakes
+from .mistakes import Mistake, heading_off_by, reading_mistakes
 
 
 @dataclass(frozen=True)
@@ -26,20 +27,26 @@ class HeadingSettings:
     off_course: float = 0.5
     # Length of the mean of the heading's direction from which it is too steady to be informative.
     steady: float = 0.9
+    # Length of the mean direction of the course seen from the heading, weighted by the squared speed, from
+    # which it always lies at the same side: 0.94 and 0.82 with a compass that nobody had adjusted, 0.2 and
+    # less where the heading counts the other way round.
+    beside: float = 0.8
 
 
 SETTINGS = HeadingSettings()
 _MIRRORED = ("frame", "swapped_position", "flipped_axis")
 
 
-def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Finding]:
+def heading_findings(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Finding]:
     """A heading or position whose convention makes a vehicle move ahead, if it does not as the log is read.
 
-    Only where the velocities were derived from the pose: measured ones show more.
+    Only where the velocities were derived from the pose: measured ones show more. A vehicle that its commands
+    can push sideways may move so all the time.
     """
     if not all({"u", "v"} <= run.derived and run.has("psi") for run in runs):
         return
-    ahead = _ahead(runs)
+    course = _course(runs)
+    ahead = course.real
     if ahead > SETTINGS.ahead:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
@@ -47,6 +54,9 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     steadiness = float(np.abs(np.nanmean(np.exp(1j * psi))))  # one where it is constant
     turns = steadiness < SETTINGS.steady and ahead < SETTINGS.off_course
     found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
+    if not found and turns and abs(course) > SETTINGS.beside and not _pushed_aside(vehicle):
+        yield _offset_finding(heading_off_by(float(np.angle(course)), mapping), course, mapping)
+        return
     if not found:
         yield Finding(
             id="heading_unchecked",
@@ -69,8 +79,34 @@ def heading_findings(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Findi
     )
 
 
+def _offset_finding(mistake: Mistake, course: complex, mapping: LogMapping) -> Finding:
+    """A heading that counts from elsewhere than north, of a vehicle that moves ahead or astern."""
+    astern = "a vehicle that moves astern: then commands that drive it are negative"
+    return Finding(
+        id=mistake.id,
+        severity="warning",
+        text=f"perhaps {mistake.clause}: by the change of its position the vehicle always moves at the same "
+        f"angle to where it heads (mean cosine of course and heading {course.real:.2f} as read, "
+        f"{abs(course):.2f} with that angle), and no command pushes it sideways",
+        evidence={"ahead": course.real, "beside": abs(course)},
+        mapping=as_toml(mistake.edits(mapping)),
+        alternatives=[astern] if course.real < -SETTINGS.off_course else [],
+    )
+
+
+def _pushed_aside(vehicle: Vehicle) -> bool:
+    """Whether commands push a vehicle in every direction and turn it, each without the others."""
+    gains = [t.thrust_per_command.value * np.array(t.wrench) for t in vehicle.thrusters]
+    return bool(gains) and int(np.linalg.matrix_rank(np.array(gains)[:, [0, 1, 5]])) == 3
+
+
 def _ahead(runs: Sequence[Run]) -> float:
     """Mean cosine of the angle between course and heading, weighted by the squared speed."""
-    u, v = (np.concatenate([run.channels[n] for run in runs]) for n in ("u", "v"))
-    speed = np.hypot(u, v)
-    return float(np.nansum(speed * u) / max(np.nansum(speed**2), 1e-30))
+    return _course(runs).real
+
+
+def _course(runs: Sequence[Run]) -> complex:
+    """Mean direction of the course, seen from the heading, weighted by the squared speed."""
+    velocity = np.concatenate([run.channels["u"] + 1j * run.channels["v"] for run in runs])
+    speed = np.abs(velocity)
+    return complex(np.nansum(speed * velocity) / max(np.nansum(speed**2), 1e-30))
