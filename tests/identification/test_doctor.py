@@ -95,6 +95,7 @@ READING = [
     (broken.scaled("psi", by=1, plus=np.pi / 2), "heading_offset", ["offset = -1.5708"]),
     (broken.scaled("psi", by=1, plus=-0.7), "heading_offset", ["offset = 0.7"]),
     (broken.north_east_velocity, "velocity_in_ned", ["[frames]", 'velocity = "NED"']),
+    (broken.swapped("u", "v"), "swapped_velocity", ['v = { channel = "u" }', 'u = { channel = "v" }']),
     (broken.through_water(0.1, -0.07), "velocity_through_water", ["[water]", "velocity = [0.1", ", -0.0"]),
 ]
 

@@ -487,6 +487,13 @@ def turned_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
         )
 
 
+def swapped_velocity(mapping: LogMapping, moving: set[str]) -> Iterator[Mistake]:
+    """Velocities ahead and sideways in each other's place, each with its sign."""
+    if {"u", "v"} <= moving:
+        clause = "u and v are swapped (u is sideways, v is ahead)"
+        yield exchanged("swapped_velocity", clause, {"u": ("v", 1.0), "v": ("u", 1.0)})
+
+
 def names_with_verb(names: tuple[str, ...]) -> str:
     """The names of channels with "is" or "are"."""
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'}"
@@ -501,6 +508,7 @@ KINDS: tuple[Callable[[LogMapping, set[str]], Iterator[Mistake]], ...] = (
     flipped_axes,
     turned_heading,
     turned_velocity,
+    swapped_velocity,
 )
 
 
