@@ -23,7 +23,7 @@ from undertow.identification.doctor import dynamics
 from undertow.identification.doctor.clocks import shifts
 from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import angles_across_jumps, wrapped_angles
+from undertow.identification.doctor.mistakes import angles_across_jumps, reading_mistakes, wrapped_angles
 from undertow.identification.doctor.sensors import inconsistent
 from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import Edit, LogMapping, edited
@@ -415,6 +415,29 @@ def test_a_motion_without_a_force_says_nothing_of_units(
     mistakes = examine(vehicle, [run]).result.mistakes
     assert bool(asked) is driven
     assert driven or not mistakes
+
+
+@pytest.mark.parametrize(("written", "named"), [(1.0, False), (100.0, True)])
+def test_a_unit_in_which_commands_would_push_nothing_is_not_named(
+    written: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Estimated thrust that goes away with the motion: then any smaller motion is explained as well."""
+    monkeypatch.setattr(dynamics.Gain, "decisive", True)
+    lenient = replace(dynamics.SETTINGS, least_predicted_fall=0.0)
+    monkeypatch.setattr(dynamics, "SETTINGS", lenient)
+    case = make_case("usv", (), 3, duration=30.0, runs=("multisine",))
+    vehicle = vehicle_of(case)
+    guess = Value(1.0, sigma=10.0, estimate=True)
+    vehicle = vehicle.with_values({f"thrust_{t.name}": guess for t in vehicle.thrusters})
+    vehicle = replace(vehicle, degrees_of_freedom=("surge",))
+    (columns,) = case.runs.values()
+    logged = {n: columns[n] for n in ("t", "psi", *vehicle.command_names)}
+    logged |= {n: written * columns[n] for n in ("x", "y")}
+    run = velocities_from_pose(run_of("log", logged), vehicle.degrees_of_freedom)
+    at = dynamics.dynamics_of(vehicle, [run])
+    assert at is not None
+    in_cm = [m for m in reading_mistakes(LogMapping(), [run]) if m.clause == "x, y are in cm, read as m"]
+    assert bool(dynamics.decisive_mistake(at, in_cm)) is named
 
 
 @pytest.mark.parametrize(("hidden", "agree"), [("white_force_10", True), ("velocity_lever_arm", False)])

@@ -33,6 +33,7 @@ from undertow.typing import Array
 
 from .kinematics import Kinematics, jacobian, most_active
 from .mistakes import (
+    PLAUSIBLE,
     SPEEDS,
     UNITS_OF_MOTION,
     Explanation,
@@ -394,7 +395,21 @@ def decisive_mistake(at: Dynamics, known: Sequence[Mistake]) -> Explanation | No
     units = [m for m in promising if m.id in UNITS_OF_MOTION]
     others = [m for m in promising if m.id not in UNITS_OF_MOTION]
     leading = [*others[: SETTINGS.fitted], *units[: SETTINGS.units_fitted]]
-    return _best_explanation(at, [(m, fit) for m in leading if (fit := at.without(m)) is not None])
+    fitted = [(m, fit) for m in leading if (fit := at.without(m)) is not None]
+    return _best_explanation(at, [(m, f) for m, f in fitted if m.id not in UNITS_OF_MOTION or _is_driven(f)])
+
+
+def _is_driven(fit: WeakFit) -> bool:
+    """Whether thrusters push in a fit: any unit that makes it smaller explains a motion without a force."""
+    vehicle = fit.model.functions.vehicle
+    linear = [i for i in vehicle.dof_indices if i < len(SPEEDS)]
+    if not vehicle.thrusters or vehicle.surfaces or vehicle.force_channels:
+        return True
+    along = np.abs([t.wrench for t in vehicle.thrusters])[:, linear]
+    stated = [t.thrust_per_command.value for t in vehicle.thrusters]
+    found = [fit.values.get(f"thrust_{t.name}", k) for t, k in zip(vehicle.thrusters, stated, strict=True)]
+    given, kept = (np.abs(gains) @ along for gains in (stated, found))
+    return not np.any(given) or bool(np.any(kept > PLAUSIBLE.weakest * given))
 
 
 def _promising(at: Dynamics, known: Sequence[Mistake]) -> list[tuple[float, Mistake]]:
