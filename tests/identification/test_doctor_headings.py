@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from tests.identification.logs_of import run_of
+from undertow.identification.doctor import examine as examine_module
+from undertow.identification.doctor.dynamics import reversed_commands
 from undertow.identification.doctor.headings import heading_findings
+from undertow.identification.doctor.mistakes import Explanation
 from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -36,6 +39,7 @@ def _found(columns: Columns, vehicle: str = "bluerov2") -> list[Finding]:
 def test_a_boat_that_moves_where_it_heads_is_read_rightly() -> None:
     assert _found(_log()) == []
     assert _found(_log(drift=0.3)) == []
+    assert _found(_log(drift=0.5)) == []
 
 
 @pytest.mark.parametrize(
@@ -87,3 +91,18 @@ def test_a_boat_that_nothing_pushes_sideways_has_a_heading_that_counts_from_else
 def test_a_boat_on_one_heading_may_drift_with_the_water() -> None:
     (found,) = _found(_log(drift=1.5, turns=0.1), "otter")
     assert found.id == "heading_unchecked"
+
+
+@pytest.mark.parametrize(("drift", "severity"), [(0.0, "mistake"), (-2.6, "warning")])
+def test_commands_are_not_reversed_for_certain_where_the_heading_may_be_off(
+    drift: float, severity: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = load_vehicle("otter")
+    reversed_port = Explanation(reversed_commands(vehicle)[0], "a command is reversed", {})
+    monkeypatch.setattr(examine_module._Examiner, "_model_mistake", lambda self, at: reversed_port)
+    commands = {n: 50.0 + 20.0 * np.sin(0.05 * _log()["t"]) for n in vehicle.command_names}
+    run = velocities_from_pose(run_of("log", {**_log(drift), **commands}), DOFS)
+    found = examine_module.examine(vehicle, [run]).result.findings
+    one, *_ = [f for f in found if f.id == "reversed_thruster"]
+    assert one.severity == severity
+    assert one.alternatives == ([] if severity == "mistake" else ["psi is off by -149 degrees"])

@@ -26,7 +26,7 @@ from .clocks import causal, clock_findings, command_clock, delay_edits, latencie
 from .compass import deviation
 from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
 from .forces import doubtful_unit, exceeded_limits, impossible
-from .headings import heading_findings
+from .headings import heading_findings, heading_off
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
@@ -324,7 +324,11 @@ class _Examiner:
             self._check_vehicle_file(at)
 
     def _other_explanations(self, at: Dynamics, mistake: Mistake) -> list[str]:
-        """What else than another unit or sign of the motion explains how the model does."""
+        """What else than another unit or sign explains how the model does."""
+        if mistake.id in ("reversed_thruster", "swapped_thrusters"):
+            # With its heading off, a vehicle seems to go elsewhere than its commands push it.
+            offset = heading_off(self.vehicle, self.mapping, self.runs)
+            return [] if offset is None else [offset.clause]
         if mistake.id not in (*UNITS_OF_MOTION, "flipped_axis"):
             return []
         if len(self.vehicle.dof_indices) == 1 and mistake.id in UNITS_OF_MOTION:

@@ -43,19 +43,17 @@ def heading_findings(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run])
     Only where the velocities were derived from the pose: measured ones show more. A vehicle that its commands
     can push sideways may move so all the time.
     """
-    if not all({"u", "v"} <= run.derived and run.has("psi") for run in runs):
+    if not _is_derived(runs):
         return
     course = _course(runs)
-    ahead = course.real
-    if ahead > SETTINGS.ahead:
+    if course.real > SETTINGS.beside:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
-    psi = np.concatenate([run.channels["psi"] for run in runs])
-    steadiness = float(np.abs(np.nanmean(np.exp(1j * psi))))  # one where it is constant
-    turns = steadiness < SETTINGS.steady and ahead < SETTINGS.off_course
+    turns = _turns(runs) and course.real < SETTINGS.off_course
     found = [m for m in known if turns and _ahead([rederived(r, m.undo) for r in runs]) > SETTINGS.ahead]
-    if not found and turns and abs(course) > SETTINGS.beside and not _pushed_aside(vehicle):
-        yield _offset_finding(heading_off_by(float(np.angle(course)), mapping), course, mapping)
+    offset = None if found else heading_off(vehicle, mapping, runs)
+    if offset is not None:
+        yield _offset_finding(offset, course, mapping)
         return
     if not found:
         yield Finding(
@@ -63,8 +61,9 @@ def heading_findings(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run])
             severity="note",
             text="whether the heading counts clockwise from north or anticlockwise from east is judged by "
             "the fit of the model alone: no velocity along the body was measured, and by its position the "
-            f"vehicle does not move where it heads (mean cosine between course and heading {ahead:.2f})",
-            evidence={"ahead": ahead},
+            "vehicle does not move where it heads (mean cosine between course and heading "
+            f"{course.real:.2f})",
+            evidence={"ahead": course.real},
         )
         return
     first, *others = found
@@ -72,11 +71,35 @@ def heading_findings(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run])
         id=first.id,
         severity="warning",
         text=f"perhaps {first.clause}: by the change of its position the vehicle moves where it heads only "
-        f"then (mean cosine between course and heading {ahead:.2f} as read)",
-        evidence={"ahead": ahead},
+        f"then (mean cosine between course and heading {course.real:.2f} as read)",
+        evidence={"ahead": course.real},
         mapping=as_toml(first.edits(mapping)),
         alternatives=[m.clause for m in others],
     )
+
+
+def heading_off(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run]) -> Mistake | None:
+    """A heading off by the angle at which the course always lies beside it; None if it does not, or may so.
+
+    A vehicle that its commands can push sideways may move so, and one on a steady heading may drift.
+    """
+    if not _is_derived(runs) or _pushed_aside(vehicle) or not _turns(runs):
+        return None
+    course = _course(runs)
+    if course.real > SETTINGS.off_course or abs(course) < SETTINGS.beside:
+        return None
+    return heading_off_by(float(np.angle(course)), mapping)
+
+
+def _is_derived(runs: Sequence[Run]) -> bool:
+    """Whether the velocities follow from the pose, with a heading."""
+    return all({"u", "v"} <= run.derived and run.has("psi") for run in runs)
+
+
+def _turns(runs: Sequence[Run]) -> bool:
+    """Whether the heading changes enough to be informative."""
+    psi = np.concatenate([run.channels["psi"] for run in runs])
+    return float(np.abs(np.nanmean(np.exp(1j * psi)))) < SETTINGS.steady
 
 
 def _offset_finding(mistake: Mistake, course: complex, mapping: LogMapping) -> Finding:
