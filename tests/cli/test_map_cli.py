@@ -783,6 +783,24 @@ def test_a_log_with_dates_has_axes_like_any_other(tmp_path: Path) -> None:
         guess_table(odd.drop("pose_position_x"), tmp_path / "own.csv")
 
 
+@pytest.mark.parametrize("digits", ["{:.1f}", "{:.0f}"])
+def test_hours_minutes_and_seconds_in_six_digits_are_a_time_of_day(digits: str, tmp_path: Path) -> None:
+    """As GPS receivers write them: 0:59:59 is followed by 1:00:00, not 41 or 4041 seconds later."""
+    t = 34790.0 + np.arange(200.0)
+    stamps = [digits.format(10000 * (s // 3600) + 100 * (s // 60 % 60) + s % 60) for s in t]
+    pl.DataFrame({"h": stamps, "u": np.sin(t)}).write_csv(tmp_path / "log.csv")
+    guessed = guess_mapping(tmp_path / "log.csv")
+    assert guessed.time.entry == {"column": "h", "unit": "iso"}
+    assert "hhmmss" in guessed.time.doubt
+    assert read_log(tmp_path / "log.csv", guessed.meaning).t == pytest.approx(t - t[0])
+
+
+def test_seconds_that_happen_to_look_like_a_time_of_day_are_seconds(tmp_path: Path) -> None:
+    table = pl.DataFrame({"t": [f"{t}" for t in range(12000, 12050)], "u": np.sin(np.arange(50.0))})
+    table.write_csv(tmp_path / "log.csv")
+    assert guess_mapping(tmp_path / "log.csv").time.entry == {"column": "t", "unit": "s"}
+
+
 def test_a_command_without_a_column_may_be_a_constant(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = pl.read_csv(case / "train.csv")
     table.drop("f1").write_csv(case / "own.csv")

@@ -17,7 +17,7 @@ from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
 from .mapping import SECONDS, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
-from .table import has_dates, seconds
+from .table import DIGITS_OF_DAY, has_dates, seconds
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,14 @@ def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, w
     """Times of the rows, s."""
     if "interval" in time.entry:
         return spacing_of(str(time.entry["interval"])) * np.arange(float(table.height))
-    if time.column not in data:
+    if _is_dated(time, data):
         return seconds(table, time.column, where)[0]
     return _clock_seconds(data, time)
+
+
+def _is_dated(time: Guess, data: Mapping[str, Array]) -> bool:
+    """Whether a clock has dates or times of day; the latter may be numbers, too."""
+    return time.column not in data or time.entry.get("unit") == "iso"
 
 
 def columns_of(time: Guess) -> tuple[str, ...]:
@@ -87,7 +92,8 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     found = _clock(table, data, where)
     if isinstance(found, Guess):
         return found
-    dated = found not in data
+    digits = found in data and table[found].dtype == pl.String and _is_time_of_day(table[found])
+    dated = digits or found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
     kept = times[sampled & np.isfinite(times)]
@@ -97,6 +103,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
     said = "" if stated or dated else _unit_question(step, unit, one)
+    said = "read as hours, minutes and seconds in six digits (hhmmss): is that right?" if digits else said
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     entry |= {"nanoseconds": halves[found]} if found in halves else {}
     if rate > MEASURABLE.fast and np.all(sampled):
@@ -108,13 +115,23 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     return Guess(found, entry, " ".join(asked))
 
 
+def _is_time_of_day(column: pl.Series) -> bool:
+    """Whether texts are hours, minutes and seconds side by side, which 172900 after 172859 shows."""
+    parts = column.drop_nulls().str.strip_chars().str.extract_groups(DIGITS_OF_DAY).struct.unnest()
+    hour, minute, second = (parts[n].cast(pl.Float64, strict=False).to_numpy() for n in "123")
+    if len(hour) < 2 or not np.all((hour < 24.0) & (minute < 60.0) & (second < 60.0)):
+        return False
+    as_number, as_time = ((base * base * hour + base * minute + second) for base in (100.0, 60.0))
+    return bool(np.max(np.diff(as_time)) < np.max(np.diff(as_number)))
+
+
 def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
     """Times of the rows, s, those of dates since 1970."""
     if "interval" in time.entry:
         rounded = data[time.column]
         first = rounded[0] * SECONDS[_unit(time.column, rounded)]
         return np.asarray(first + times_of_rows(table, data, time, where))
-    if time.column in data:
+    if not _is_dated(time, data):
         return _clock_seconds(data, time)
     if table[time.column].dtype in (pl.Datetime, pl.Date):
         table = table.with_columns(pl.col(time.column).cast(pl.Datetime("ns")))

@@ -106,7 +106,9 @@ class Time(_Strict):
     """The time column."""
 
     column: str = "t"  # name of the time column
-    unit: str = "s"  # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"``
+    # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"`` for dates, and for times of
+    # day such as 17:28:59 or 172859.
+    unit: str = "s"
     # Column of the nanoseconds that are added, where a stamp stands in two columns (``stamp.sec``,
     # ``stamp.nanosec``).
     nanoseconds: str | None = Field(default=None, min_length=1)

@@ -666,12 +666,15 @@ def _steps_back(times: pl.Series) -> int:
 # A date whose year comes first means the same whatever is between its numbers.
 _DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"
 _OF_DAY, _THREE = r"^(\d{1,2}):(\d{2}:\d{2}(?:\.\d+)?)$", r"T0(\d{2}):"
+DIGITS_OF_DAY = r"^(\d{1,2})(\d{2})(\d{2}(?:\.\d+)?)$"
+"""Hours, minutes and seconds side by side, as GPS receivers write them."""
 _AFTER_SECONDS = r"^(\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2})[,:](\d+)"
 
 
 def _as_iso(stamps: pl.Series) -> pl.Series:
     """Texts of dates with the signs of ISO 8601 between their numbers."""
     stamps = stamps.str.strip_chars().str.replace(_DATE, "$1-$2-${3}T$4")
+    stamps = stamps.str.replace(DIGITS_OF_DAY, "$1:$2:$3")
     # The time of day alone counts from midnight.
     stamps = stamps.str.replace(_OF_DAY, "1970-01-01T0$1:$2").str.replace(_THREE, "T$1:")
     return stamps.str.replace(_AFTER_SECONDS, "$1.$2")
