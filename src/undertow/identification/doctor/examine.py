@@ -27,6 +27,7 @@ from .compass import deviation
 from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
 from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings, heading_off
+from .jumps import position_jumps
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
@@ -367,6 +368,7 @@ class _Examiner:
         self.findings += sensors.not_compared(self.kinematics, self.vehicle)
         self.findings += heading_findings(self.vehicle, self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
+        self.findings += position_jumps(self.vehicle, self.runs)
         self._undo_deviation()
         kinematics = self.kinematics
         if kinematics:

@@ -374,16 +374,14 @@ class _PlausibilityCheck:
     # --- size ------------------------------------------------------------------------------------
     def by_size(self) -> Explanation | None:
         """Speeds that a vehicle of this size cannot reach."""
-        known = self.vehicle.values.get("m")
-        if known is None or known.estimate or not known.value > 0:
+        size = size_of(self.vehicle)
+        if size is None:
             return None
-        rho, g = (self.vehicle.environment[n] for n in ("rho", "g"))
-        size, s = float(np.cbrt(known.value / rho)), self.settings
-        speed = float(np.clip(s.froude * np.sqrt(g * size), s.slowest, s.fastest))
-        limits = {SPEEDS: speed, RATES: float(np.sqrt(s.turning * g / size))}
+        turning = float(np.sqrt(self.settings.turning * self.vehicle.environment["g"] / size))
+        limits = {SPEEDS: fastest_speed(self.vehicle, size), RATES: turning}
         for names, limit in limits.items():
             if (fastest := self._fastest(self.runs, names)) > limit:
-                return self._too_fast(names, fastest, limit, known.value)
+                return self._too_fast(names, fastest, limit, self.vehicle.values["m"].value)
         return None
 
     def _fastest(self, runs: Sequence[Run], names: tuple[str, ...]) -> float:
@@ -457,6 +455,20 @@ class _PlausibilityCheck:
         value, limit = beyond[worst] * limits[worst], limits[worst]
         why = f"{worst} is {value:.4g} rms, but its limit in the vehicle file is {limit:.4g}"
         return Explanation(known[0], f"{known[0].clause}: {why}", {"value": value, "limit": limit}, known[1:])
+
+
+def size_of(vehicle: Vehicle) -> float | None:
+    """Length of the edge of a cube of water of the vehicle's mass, m; None where that mass is not known."""
+    known = vehicle.values.get("m")
+    if known is None or known.estimate or not known.value > 0:
+        return None
+    return float(np.cbrt(known.value / vehicle.environment["rho"]))
+
+
+def fastest_speed(vehicle: Vehicle, size: float) -> float:
+    """Speed that no vehicle of that size exceeds, m/s."""
+    reached = PLAUSIBLE.froude * np.sqrt(vehicle.environment["g"] * size)
+    return float(np.clip(reached, PLAUSIBLE.slowest, PLAUSIBLE.fastest))
 
 
 def exceeded_limits(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:

@@ -1,0 +1,50 @@
+"""Positions that jump beside velocities that were measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.identification.logs_of import run_of
+from undertow.identification.doctor.examine import examine
+from undertow.identification.doctor.jumps import position_jumps
+from undertow.identification.logs.pose_velocity import velocities_from_pose
+from undertow.model.loading import load_vehicle
+
+DOFS = ("surge", "sway", "yaw")
+Columns = dict[str, np.ndarray]
+
+
+def _log(away: tuple[int, ...] = (), noise: float = 0.01) -> Columns:
+    """A boat at 1 m/s in a circle, 5 m away from itself in some samples."""
+    t = np.arange(0.0, 60.0, 0.1)
+    psi = 0.1 * t
+    x, y = 10.0 * np.sin(psi), 10.0 * (1.0 - np.cos(psi))
+    x[list(away)] += 5.0
+    errors = noise * np.random.default_rng(1).standard_normal((2, len(t)))
+    steady = {"u": np.ones_like(t), "v": np.zeros_like(t), "r": np.full_like(t, 0.1)}
+    commands = {n: np.full_like(t, 50.0) for n in ("port", "starboard")}
+    return {"t": t, "x": x + errors[0], "y": y + errors[1], "psi": psi, **steady, **commands}
+
+
+def test_positions_that_no_vehicle_reaches_are_counted() -> None:
+    vehicle = load_vehicle("otter")
+    runs = [run_of(name, _log(away=(100, 250, 400))) for name in ("one", "other")]
+    (found,) = [f for f in examine(vehicle, runs).result.findings if f.id == "position_jumps"]
+    assert found.severity == "warning"
+    assert found.evidence["count"] == 6
+    assert found.evidence["largest"] == pytest.approx(5.1, abs=0.1)
+    assert "one: x, y jump 6 times" in found.text
+    assert found.text.endswith("1 more of the logs has such jumps")
+
+
+@pytest.mark.parametrize("columns", [_log(), _log(away=(100,)), _log(noise=1.0)])
+def test_a_single_outlier_and_plain_noise_are_no_jumps(columns: Columns) -> None:
+    assert not list(position_jumps(load_vehicle("otter"), [run_of("log", columns)]))
+
+
+def test_velocities_from_the_pose_are_free_of_jumps() -> None:
+    columns = _log(away=(100, 250, 400))
+    pose = {n: c for n, c in columns.items() if n not in ("u", "v", "r")}
+    run = velocities_from_pose(run_of("log", pose), DOFS)
+    assert not list(position_jumps(load_vehicle("otter"), [run]))
