@@ -544,6 +544,13 @@ def test_warnings_of_the_doctor_stand_below_the_verdict(capsys: pytest.CaptureFi
     assert "undertow doctor warns" not in capsys.readouterr().out
 
 
+def test_an_effect_and_why_it_is_not_named_are_kept_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """Reasons may be sentences: "lift it improves only the simulations" is none."""
+    entry = _ranked("lift", 3.0).model_copy(update={"not_named": "it improves only the simulations"})
+    show(SimpleNamespace(diagnosis=_diagnosis().model_copy(update={"ranking": [entry]})))  # type: ignore[arg-type]
+    assert "not named: lift: it improves only" in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_a_written_vehicle_file_has_is_said() -> None:
     """That nothing was added, and that one of a set stands for others, must not be silent."""
     one_of_two = _diagnosis("indistinguishable")

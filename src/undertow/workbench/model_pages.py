@@ -149,7 +149,7 @@ def _details(view: View, c: Mapping[str, Any]) -> None:
         written = zip_longest(c["equations"], c.get("typeset", ()))
         details.on_value_change(lambda: _equations(place, written))
         if c["not_named"]:
-            ui.label(f"not named: {c['effect']} {c['not_named']}").classes("text-sm")
+            ui.label(f"not named: {c['effect']}: {c['not_named']}").classes("text-sm")
         ui.label(f"It explains {c['explained']:.0%} of the excess over noise.{_chance(c['chance'])}").classes(
             "text-sm"
         )

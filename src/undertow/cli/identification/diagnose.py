@@ -183,7 +183,7 @@ def show(outcome: DiagnosisResult, written: Path | None = None, map: Path | None
             say(f"to tell {' and '.join(equals.effects)} apart: {equals.separated_by}")
     for entry in diagnosis.ranking:
         if entry.not_named:
-            say(f"not named: {entry.effect} {entry.not_named}")
+            say(f"not named: {entry.effect}: {entry.not_named}")
     _show_predictable(diagnosis)
     for left in diagnosis.remaining:
         say(left.summary or f"{left.degree_of_freedom}: {left.note}")
