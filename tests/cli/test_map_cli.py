@@ -338,6 +338,23 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert "degrees and minutes" in reason
 
 
+@pytest.mark.parametrize(("place", "unit"), [((1.12, 0.157), "radians"), ((0.01, 0.02), "degrees")])
+def test_latitude_and_longitude_may_be_in_radians(
+    place: tuple[float, float], unit: str, tmp_path: Path
+) -> None:
+    """As in the messages of DUNE; near zero and zero, where simulators are, nothing can be told."""
+    t = np.arange(0.0, 60.0, 0.5)
+    north = 30.0 * np.sin(0.1 * t)
+    size = 110_574.0 if unit == "degrees" else 6_383_700.0  # metres in one, at 0 and at 64 degrees north
+    table = {"t": t, "lat": place[0] + north / size, "lon": place[1] + 0.0 * t}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    found = guess_mapping(tmp_path / "own.csv")
+    assert any(f"if these are {unit}: are they?" in question for question in found.asked)
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.1)
+
+
 def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}

@@ -29,6 +29,7 @@ from .guess_frames import (
     quaternion_in,
     rate_of_heading,
     unit_of_heading,
+    unit_of_place,
     unnamed_quaternion,
 )
 from .guess_names import (
@@ -120,7 +121,8 @@ def guess_table(
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
-    read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", _FIXES)
+    doubt = _FIXES.format(unit_of_place(*(data[n] for n in globe))) if globe else ""
+    read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", doubt)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += _driven(driving, data, vehicle)
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
@@ -233,7 +235,7 @@ _FLAG = (
 
 
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
-_FIXES = "x and y: metres from the first fix of this log, if these are degrees: are they?"
+_FIXES = "x and y: metres from the first fix of this log, if these are {}: are they?"
 
 
 def _computed(columns: Sequence[str], by_channel: Mapping[str, str], unit: str, doubt: str) -> list[Guess]:

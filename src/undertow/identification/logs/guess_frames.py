@@ -28,6 +28,9 @@ class FrameSettings:
     correlation_limit: float = 0.9  # correlation of a rate with the change of the heading
     rounded: float = 1e-2  # how far the length of a quaternion may be from one
     many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
+    # Latitude or longitude below which a place is near zero and zero, where simulators put theirs: whether
+    # it is in radians or in degrees cannot be told.
+    nowhere: float = 0.05
     upright: float = 0.01  # mean square of x and y of a quaternion below which they do not identify w
 
 
@@ -171,13 +174,12 @@ def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[s
 
 # --- places on the globe ---------------------------------------------------------------------------
 def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[str, tuple[str, Array]]:
-    """North and east of the first fix, m, of columns in degrees: formula and values; {} where they are none.
+    """North and east of the first fix, m, of latitude and longitude: formula and values; {} if they are none.
 
-    A fix at zero and zero is that of a receiver without one. Whole numbers of 1e-7 degrees are those of
-    MAVLink; degrees and minutes, with or without seconds, stay far below.
+    A fix at zero and zero is that of a receiver without one.
     """
-    units = 1e7 if np.nanmax(np.abs(latitude[1]), initial=0.0) > SETTINGS.many_units else 1.0
-    lat, lon = latitude[1] / units, longitude[1] / units
+    to_degrees, written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
+    lat, lon = to_degrees * latitude[1], to_degrees * longitude[1]
     fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
     if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
         return {}
@@ -186,10 +188,26 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
     for channel, (name, _), data, size in zip(
         "xy", (latitude, longitude), (lat, lon), metres_per_degree(float(lat[first])), strict=True
     ):
-        degrees = _in_formula(name) + (" / 1e7" if units > 1.0 else "")
+        degrees = _in_formula(name) + written
         formula = f"({degrees} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
         found[channel] = formula, (data - data[first]) * size
     return found
+
+
+_DEGREES = {"degrees": (1.0, ""), "1e-7 degrees": (1e-7, " / 1e7"), "radians": (180 / np.pi, " * 180 / pi")}
+
+
+def unit_of_place(latitude: Array, longitude: Array) -> str:
+    """The unit of latitude and longitude.
+
+    Whole numbers of 1e-7 degrees are those of MAVLink; degrees and minutes, with or without seconds, stay far
+    below. What a radian can say is in degrees a piece of sea off Africa: few vehicles are there.
+    """
+    north, east = (float(np.nanmax(np.abs(data), initial=0.0)) for data in (latitude, longitude))
+    if north > SETTINGS.many_units:
+        return "1e-7 degrees"
+    known = max(north, east) > SETTINGS.nowhere
+    return "radians" if known and north <= np.pi / 2 and east <= np.pi else "degrees"
 
 
 def _in_formula(name: str) -> str:
