@@ -23,7 +23,12 @@ from undertow.identification.doctor import dynamics
 from undertow.identification.doctor.clocks import shifts
 from undertow.identification.doctor.examine import Examined, examine, refuse_impossible
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import angles_across_jumps, reading_mistakes, wrapped_angles
+from undertow.identification.doctor.mistakes import (
+    angles_across_jumps,
+    heading_off_by,
+    reading_mistakes,
+    wrapped_angles,
+)
 from undertow.identification.doctor.sensors import inconsistent
 from undertow.identification.findings import Finding
 from undertow.identification.logs.mapping import Edit, LogMapping, edited
@@ -438,6 +443,20 @@ def test_a_unit_in_which_commands_would_push_nothing_is_not_named(
     assert at is not None
     in_cm = [m for m in reading_mistakes(LogMapping(), [run]) if m.clause == "x, y are in cm, read as m"]
     assert bool(dynamics.decisive_mistake(at, in_cm)) is named
+
+
+def test_a_heading_that_would_turn_all_motion_away_is_not_tried() -> None:
+    """Speed ahead of a boat without sway: a quarter turn would leave none of it to explain."""
+    case = make_case("usv", (), 3, duration=30.0, runs=("multisine",))
+    vehicle = replace(vehicle_of(case), degrees_of_freedom=("surge", "yaw"))
+    (columns,) = case.runs.values()
+    pose = {n: c for n, c in columns.items() if n not in ("u", "v", "w", "p", "q", "r")}
+    at = dynamics.dynamics_of(
+        vehicle, [velocities_from_pose(run_of("log", pose), vehicle.degrees_of_freedom)]
+    )
+    assert at is not None
+    for angle, tried in ((np.pi / 2, False), (-np.pi / 2, False), (np.pi, True)):
+        assert (at.without(heading_off_by(angle, LogMapping())) is not None) is tried
 
 
 @pytest.mark.parametrize(("hidden", "agree"), [("white_force_10", True), ("velocity_lever_arm", False)])

@@ -149,7 +149,10 @@ class Dynamics:
         return self._fits[mistake]
 
     def undone(self, undo: Undo) -> WeakData | None:
-        """The data with a mistake undone in every run; None where samples would go missing."""
+        """The data with a mistake undone in every run; None where samples or a motion would go missing.
+
+        Turned by a right angle, a vehicle without sway would not move, and any model explains that.
+        """
         runs = tuple(rederived(run, undo) for run in self.runs)
         measured = [run.known(self.data.names) for run in runs]
         commands = [run.matrix(self.data.commands) for run in runs]
@@ -159,8 +162,11 @@ class Dynamics:
         )
         if not all(np.isfinite(s.measured).all() and np.isfinite(s.u).all() for s in segments):
             return None
-        before, after = (np.concatenate([s.measured for s in of]) for of in (self.data.segments, segments))
-        sigma = self.data.sigma * _other_unit(np.std(before, axis=0), np.std(after, axis=0))
+        both = (np.concatenate([s.measured for s in of]) for of in (self.data.segments, segments))
+        before, after = (np.std(of, axis=0) for of in both)
+        if np.any(after < SETTINGS.changes * before):
+            return None
+        sigma = self.data.sigma * _other_unit(before, after)
         return replace(self.data, runs=runs, segments=segments, sigma=sigma)
 
     def explained_by(self, mistake: Mistake) -> bool:
