@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Timer
+from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -354,18 +355,21 @@ def _indented(line: Any, by: int) -> Any:
 
 DELAY = 2.0
 """Seconds before a bar appears."""
+INTERVAL = 30.0
+"""Seconds between two lines where there is no bar."""
 
 
 @contextmanager
 def progress(description: str, total: float | None = 1.0) -> Iterator[Callable[[float, str], None]]:
     """Show a bar on the terminal while the block runs, if that takes more than two seconds.
 
-    Nothing is printed for shorter work or when stderr is not a terminal. The bar disappears at the end.
+    Nothing is printed for shorter work. The bar disappears at the end; where stderr is no terminal, as in a
+    continuous integration, there is none, but a line from time to time.
     What is yielded is the `undertow.typing.Progress` of library code; `total` is reported when all is done,
     None for work that reports nothing on its way.
     """
     if not sys.stderr.isatty():
-        yield _ignore
+        yield _Lines(description, total).report
         return
     bar = _Bar(description, total)
     timer = Timer(DELAY, bar.show)
@@ -378,8 +382,17 @@ def progress(description: str, total: float | None = 1.0) -> Iterator[Callable[[
         bar.close()
 
 
-def _ignore(done: float, words: str) -> None:
-    """Nobody is looking."""
+class _Lines:
+    """How far the work is, in lines on stderr: a bar could not be read in a file."""
+
+    def __init__(self, description: str, total: float | None) -> None:
+        self._words, self._total, self._last = description, total or 1.0, monotonic()
+
+    def report(self, done: float, words: str = "") -> None:
+        self._words = words or self._words
+        if monotonic() - self._last > INTERVAL:
+            self._last = monotonic()
+            print(f"{self._words}: {done / self._total:.0%}", file=sys.stderr, flush=True)
 
 
 class _Bar:

@@ -124,6 +124,17 @@ def test_angles_in_the_place_of_a_quaternion_are_no_attitude_and_commands_no_mea
     assert said[0].startswith("/rov_odometry: pose.pose.orientation is no quaternion (length up to ")
 
 
+@pytest.mark.parametrize(("frame", "known"), [("odom", True), ("HEALTHY", False), ("rov1/base_link", True)])
+def test_the_state_of_a_vehicle_in_place_of_a_frame_says_nothing_of_axes(
+    tmp_path: Path, frame: str, known: bool
+) -> None:
+    position, q, twist, _ = enu(dive())
+    with BagWriter(tmp_path / "dive.mcap") as out:
+        for k, t in enumerate(dive().t):
+            out.write("/odom", t, out.odometry(float(t), (frame, ""), position[k], q[k], twist[k]))
+    assert any("which says nothing of axes" in note for note in read_log(out.path).reader_notes) is not known
+
+
 @pytest.mark.parametrize(("topic", "position"), [("/ins/NED_pose", "NED"), ("/ins_pose", "ENU")])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_a_pose_in_the_plane_is_read(tmp_path: Path, suffix: str, topic: str, position: str) -> None:

@@ -280,7 +280,7 @@ def sentence(left: Remaining, above_noise: bool) -> str:
         return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms remains, which is noise"
     size = f"{left.excess_rms:.2g} {left.unit} rms remains above the noise"
     parts = list(_clauses(left)) or [
-        "it correlates with none of the logged variables, and no period stands out"
+        "it correlates significantly with none of the logged variables, and no period stands out"
     ]
     return f"{left.degree_of_freedom}: {'; '.join([size, *parts])}"
 

@@ -328,9 +328,9 @@ def _only_disturbance(diagnosis: Diagnosis, refitted: str) -> str:
     most = max(found, key=lambda p: p.at_most)
     return (
         "No effect in the catalogue improves the model, and these logs do not show if any is missing: "
-        f"{refitted}; the logged signals predict no more of the residual than chance, but up to "
-        f"{most.at_most:.0%} of it in {most.degree_of_freedom} may depend on them: record longer runs, or "
-        "treat it as a disturbance."
+        f"{refitted}; that the residual depends on the logged signals is not significant, but up to "
+        f"{most.at_most:.0%} of it in {most.degree_of_freedom} may do so: record longer runs, or treat it as "
+        "a disturbance."
     )
 
 

@@ -45,6 +45,8 @@ _LEAST_PRESSURE = 50_000.0
 Kind = Literal["pose", "plane", "attitude", "twist", "rates", "velocity"]
 _AXES = ("x", "y", "z")
 _DOWN, _UP = ("ned", "frd"), ("enu", "flu")  # words in the names of frames
+# Words in the names of frames whose axes REP 103 and REP 105 define.
+_USUAL = ("map", "odom", "earth", "world", "base", "link", "body", "utm", "gps", "imu", "dvl", "camera")
 _LINEAR, _RATES = dict(zip("uvw", _AXES, strict=True)), dict(zip("pqr", _AXES, strict=True))
 
 # Types in order of precedence, and the kinds of their fields.
@@ -215,9 +217,11 @@ def _has_word(name: str, *words: str) -> bool:
 def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Interpretation) -> Frames:
     """Axes of the topic that takes precedence."""
     down, first = _is_down(sources[0][0]), sources[0][0]
-    if _precedence(first)[1]:
+    if not _has_known_axes(first):
+        frame = first.frame or first.child
+        named = f"a frame {frame!r}, which says nothing of axes" if frame else "no frame"
         known.notes.append(
-            f"{first.series.name} ({first.type}) names no frame: east-north-up is assumed, as in REP 103; "
+            f"{first.series.name} ({first.type}) names {named}: east-north-up is assumed, as in REP 103; "
             '[frames] position = "NED", body = "FRD" in a mapping file changes that'
         )
     pose = next((topic for topic, fields in sources if "pose" in fields), None)
@@ -230,6 +234,12 @@ def _frames(sources: Sequence[tuple[Topic, Mapping[Kind, str]]], known: _Interpr
         )
         return Frames(velocity="NED") if down else Frames(position="ENU", body="FLU", velocity="ENU")
     return Frames() if down else Frames(position="ENU", body="FLU")
+
+
+def _has_known_axes(topic: Topic) -> bool:
+    """Whether a topic names its axes: drivers also write the state of a vehicle where the frame belongs."""
+    of_frames = any(_has_word(name, *_DOWN, *_UP, *_USUAL) for name in (topic.frame, topic.child))
+    return of_frames or (not (topic.frame or topic.child) and _has_word(topic.series.name, *_DOWN, *_UP))
 
 
 def _is_down(topic: Topic) -> bool:
