@@ -72,6 +72,7 @@ from .diagnosis.verdict import (
     values_by_run,
     values_instead_of_effects,
     with_changed_values,
+    with_contradiction,
     without_damping,
 )
 from .doctor.kinematics import Kinematics
@@ -189,19 +190,30 @@ class ResultBuilder:
 
     @cached_property
     def _verdict(self) -> Judgement:
-        """The judgement; if `unexplained`, whether sensors contradict each other or all is a disturbance."""
-        if self.judgement.verdict != "unexplained":
+        """The judgement; where no cause is named, whether sensors contradict each other.
+
+        If `unexplained`, also whether all that remains is a disturbance.
+        """
+        if self.judgement.verdict not in ("unexplained", "helps_prediction"):
             return self.judgement
-        comparable = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
-        if not comparable or self._sensors_disagree:
-            contradiction = error_of_sensors(self._harmless, comparable, self.settings)
-            if contradiction:
-                return contradiction
+        contradiction = self._contradiction
+        if self.judgement.verdict == "helps_prediction":
+            return with_contradiction(self.judgement, contradiction)
+        if contradiction:
+            return contradiction
         noise_only = {r.degree_of_freedom for r in self._remaining if not r.excess_rms}
         depends = any(r.depends_on or r.spectrum or r.between_runs for r in self._remaining)
         if depends or not is_disturbance(self._predictable, noise_only):
             return self.judgement
         return only_disturbance(self._predictable, self.judgement.share, without_damping(self.after))
+
+    @property
+    def _contradiction(self) -> Judgement | None:
+        """That pose and velocities contradict each other, if one of the candidates shows it."""
+        comparable = max(self.bench.test.rows) >= len(self.vehicle.dof_indices)
+        if comparable and not self._sensors_disagree:
+            return None
+        return error_of_sensors(self._harmless, comparable, self.settings)
 
     @property
     def _harmless(self) -> list[FoundEffect]:

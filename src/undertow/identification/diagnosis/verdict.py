@@ -222,6 +222,14 @@ def error_of_sensors(
     return Judgement("unexplained", text, [], [], most.explained)
 
 
+def with_contradiction(judgement: Judgement, contradiction: Judgement | None) -> Judgement:
+    """A judgement on predictions of velocity, with what is wrong with the pose beside them."""
+    said = "" if contradiction is None else contradiction.headline.removeprefix("Unexplained: the sensors ")
+    if contradiction is None or said == contradiction.headline:  # one of them was not measured
+        return judgement
+    return replace(judgement, headline=f"{judgement.headline} Besides, the sensors {said}")
+
+
 def _has_determined_parameter(finding: FoundEffect) -> bool:
     """Whether any parameter of an effect is known to differ from zero."""
     fit = finding.trial.fit
