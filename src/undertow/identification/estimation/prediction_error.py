@@ -10,6 +10,7 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.stats import t as student
 
 from undertow.codegen.functions import Functions
@@ -247,35 +248,50 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
 
     `last` (b,) marks windows at the end of a segment; `seconds` (b,) is the length of each.
     """
-    columns, size = linear.defect.shape[2], linear.defect.shape[1]
+    count, size, columns = linear.defect.shape
     channel_of = np.tile(np.arange(linear.used.shape[2]), linear.used.shape[1])
-    rows, logarithms, windows, channels, predicted, updated = [], [], [], [], [], []
+    measured = [np.flatnonzero(used) for used in linear.used.reshape(count, -1)]
+    both = linear.error.reshape(count, -1, columns), linear.by_start.reshape(count, -1, size)
+    drift = noise.intensity * seconds[:, None]
+    whitened, logarithms, predicted, updated = [], [], [], []
     segment_start = True
-    mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
-    for j in range(len(linear.defect)):
+    for j, rows in enumerate(measured):
         if segment_start:
             mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
         predicted.append((mean, spread))
-        used = linear.used[j].ravel()
-        H = linear.by_start[j].reshape(-1, size)[used]
-        channel = channel_of[used]
-        innovation = linear.error[j].reshape(-1, columns)[used] + H @ mean
-        across = H @ spread
-        factor = np.linalg.cholesky(across @ H.T + np.diag(noise.variance[channel]))
-        white = np.linalg.solve(factor, np.column_stack([innovation, across]))
-        mean = mean - white[:, columns:].T @ white[:, :columns]
-        spread = _symmetric(spread - white[:, columns:].T @ white[:, columns:])
-        logarithms.append(2.0 * np.log(np.diag(factor)))
+        error, H = (of[j][rows] for of in both)
+        white, gain, logarithm = _whitened(error + H @ mean, H, spread, noise.variance[channel_of[rows]])
+        by_gain = gain.T @ np.concatenate([white, gain], axis=1)
+        mean, spread = mean - by_gain[:, :columns], _symmetric(spread - by_gain[:, columns:])
         updated.append((mean, spread))
-        rows.append(white[:, :columns])
-        windows.append(np.full(len(channel), j))
-        channels.append(channel)
+        whitened.append(white)
+        logarithms.append(logarithm)
         segment_start = bool(last[j])
         F = linear.by_end[j]
-        mean = linear.defect[j] + F @ mean
-        spread = _symmetric(F @ spread @ F.T) + np.diag(noise.intensity * seconds[j])
-    table, window, channel, logarithm = map(np.concatenate, (rows, windows, channels, logarithms))
+        mean, spread = linear.defect[j] + F @ mean, _symmetric(F @ spread @ F.T)
+        spread.flat[:: size + 1] += drift[j]
+    window = np.repeat(np.arange(count), [len(rows) for rows in measured])
+    channel = channel_of[np.concatenate(measured)]
+    table, logarithm = np.concatenate(whitened), np.concatenate(logarithms)
     return Filtered(table, window, channel, logarithm, predicted, updated)
+
+
+def _whitened(innovation: Array, H: Array, spread: Array, variance: Array) -> tuple[Array, Array, Array]:
+    """Whitened innovations (m, columns), whitened covariance with the state, and log variances (m,).
+
+    LAPACK's own routines: NumPy solves a triangle as a full matrix, in four times the time.
+    """
+    if not len(H):
+        return innovation, H, variance
+    across = H @ spread
+    covariance = across @ H.T
+    covariance.flat[:: len(H) + 1] += variance
+    factor, failed = dpotrf(covariance, lower=True, clean=True)
+    if failed:
+        raise np.linalg.LinAlgError("a covariance of innovations is not positive definite")
+    white, _ = dtrtrs(factor, np.concatenate([innovation, across], axis=1), lower=True)
+    columns = innovation.shape[1]
+    return white[:, :columns], white[:, columns:], 2.0 * np.log(np.diag(factor))
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -299,21 +315,19 @@ def smoothed(
 ) -> Smoothed:
     """The backward pass, from the last window to the first (Rauch, Tung and Striebel)."""
     count, size, columns = linear.defect.shape
-    motion = np.zeros((count, size, columns))
-    disturbance, errors = np.zeros((size, 2)), np.zeros((len(noise.variance), 2))
-    later = np.zeros((size, size))
+    motion, spreads = np.zeros((count, size, columns)), np.zeros((count, size, size))
+    disturbance = np.zeros((size, 2))
     for j in reversed(range(count)):
         mean, spread = innovations.updated[j]
         if not last[j]:
             ahead, predicted_covariance = innovations.predicted[j + 1]
             inverse = inverse_of(predicted_covariance)
-            change, covariance_change = motion[j + 1] - ahead, later - predicted_covariance
+            change, covariance_change = motion[j + 1] - ahead, spreads[j + 1] - predicted_covariance
             disturbance += _disturbance_sums(noise.intensity, seconds[j], inverse, change, covariance_change)
             gain = spread @ linear.by_end[j].T @ inverse
             mean, spread = mean + gain @ change, _symmetric(spread + gain @ covariance_change @ gain.T)
-        motion[j], later = mean, spread
-        errors += _error_sums(linear, j, mean, spread, noise.variance)
-    return Smoothed(motion, disturbance, errors)
+        motion[j], spreads[j] = mean, spread
+    return Smoothed(motion, disturbance, _error_sums(linear, motion[..., 0], spreads, noise.variance))
 
 
 def _disturbance_sums(
@@ -326,13 +340,12 @@ def _disturbance_sums(
     return np.column_stack([size**2 / max(seconds, 1e-12), share])
 
 
-def _error_sums(linear: LinearWindows, j: int, mean: Array, spread: Array, variance: Array) -> Array:
-    """Squared errors of one window's samples after smoothing, and how many of them are free, by channel."""
-    H = linear.by_start[j]
-    error = linear.error[j][..., 0] + H @ mean[:, 0]
-    taken = np.einsum("kci,ij,kcj->kc", H, spread, H) / variance
-    used = linear.used[j]
-    return np.column_stack([np.sum(error**2 * used, axis=0), np.sum((1.0 - taken) * used, axis=0)])
+def _error_sums(linear: LinearWindows, motion: Array, spreads: Array, variance: Array) -> Array:
+    """Squared errors of the samples after smoothing, and how many of them are free, by channel."""
+    H, used = linear.by_start, linear.used
+    error = linear.error[..., 0] + (H @ motion[:, None, :, None])[..., 0]
+    taken = np.sum((H @ spreads[:, None]) * H, axis=-1) / variance
+    return np.column_stack([np.sum(a * used, axis=(0, 1)) for a in (error**2, 1.0 - taken)])
 
 
 @dataclass(frozen=True)
@@ -343,9 +356,9 @@ class PredictionErrorSettings:
     most_samples: int = 60_000
     quick_windows: int = 3000  # of a fit that only compares models: 10 to 30 s
     most_steps: int = 60
-    # Predicted fall of the sum of squares, and change of minus twice the log likelihood, with which a search
-    # ends.
-    least_fall: float = 0.02
+    # Predicted change of the sum of squares below which no step is tried, and change of minus twice the log
+    # likelihood with which a search ends then.
+    least_change: float = 0.1
     converged: float = 0.2
     shares: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)  # of a step, tried in turn until the cost falls
     # How vague the motion at the start of a segment is, in sizes of the motion that is measured.
@@ -598,7 +611,7 @@ class _Search:
             smooth = smoothed(state.linear, self._chained.last, self._seconds, self._noise, state.innovations)
             state, predicted = self._stepped(state, smooth)
             state = self._with_likelier_noise(state, smooth)
-            if predicted < SETTINGS.least_fall and abs(self._cost(state) - before) < SETTINGS.converged:
+            if predicted < SETTINGS.least_change and abs(self._cost(state) - before) < SETTINGS.converged:
                 break
         sensor_noise = self._with_initial_std(replace(self._noise, intensity=0.0 * self._noise.intensity))
         passes = state.innovations, self._filtered(state.linear, sensor_noise)
@@ -624,7 +637,9 @@ class _Search:
         r, J = state.innovations.table[:, 0], state.innovations.table[:, 1:]
         step = self._space.step(Linearised(r, J, np.zeros((len(r), 0))), state.p)
         predicted = squared(r) - squared(r + J @ step)
-        limit = self._cost(state) + SETTINGS.least_fall
+        if abs(predicted) < SETTINGS.least_change:
+            return state, predicted
+        limit = self._cost(state)
         tried = (self._after_step(share * step, state, smooth) for share in SETTINGS.shares)
         found = next((after for after in tried if after is not None and self._cost(after) <= limit), None)
         return (state, 0.0) if found is None else (found, predicted)
