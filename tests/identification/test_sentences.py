@@ -242,7 +242,7 @@ def test_a_residual_that_may_be_a_disturbance_is_not_called_missing() -> None:
     )  # fmt: skip
     short = first_sentence(_diagnosis("unexplained", predictable=[signal]))
     assert "do not show if any is missing" in short
-    assert "up to 54% of it in sway may depend on them" in short
+    assert "up to 54% of it in sway may do so" in short
     known = signal.model_copy(update={"significant": True})
     assert "explains what is missing" in first_sentence(_diagnosis("unexplained", predictable=[known]))
 
