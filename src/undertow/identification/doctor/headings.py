@@ -27,10 +27,10 @@ class HeadingSettings:
     off_course: float = 0.5
     # Length of the mean of the heading's direction from which it is too steady to be informative.
     steady: float = 0.9
-    # Length of the mean direction of the course seen from the heading, weighted by the squared speed, from
-    # which it always lies at the same side: 0.94 and 0.82 with a compass that nobody had adjusted, 0.2 and
+    # Mean resultant length of the course seen from the heading, weighted by the squared speed, from which the
+    # angle between them is constant: 0.94 and 0.82 with a compass that nobody had adjusted, 0.2 and
     # less where the heading counts the other way round.
-    beside: float = 0.8
+    resultant_length: float = 0.8
 
 
 SETTINGS = HeadingSettings()
@@ -46,7 +46,7 @@ def heading_findings(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run])
     if not _is_derived(runs):
         return
     course = _course(runs)
-    if course.real > SETTINGS.beside:
+    if course.real > SETTINGS.resultant_length:
         return
     known = [m for m in reading_mistakes(mapping, runs) if m.id in _MIRRORED and m.count == 1]
     turns = _turns(runs) and course.real < SETTINGS.off_course
@@ -86,7 +86,7 @@ def heading_off(vehicle: Vehicle, mapping: LogMapping, runs: Sequence[Run]) -> M
     if not _is_derived(runs) or _pushed_aside(vehicle) or not _turns(runs):
         return None
     course = _course(runs)
-    if course.real > SETTINGS.off_course or abs(course) < SETTINGS.beside:
+    if course.real > SETTINGS.off_course or abs(course) < SETTINGS.resultant_length:
         return None
     return heading_off_by(float(np.angle(course)), mapping)
 
@@ -111,7 +111,7 @@ def _offset_finding(mistake: Mistake, course: complex, mapping: LogMapping) -> F
         text=f"perhaps {mistake.clause}: by the change of its position the vehicle always moves at the same "
         f"angle to where it heads (mean cosine of course and heading {course.real:.2f} as read, "
         f"{abs(course):.2f} with that angle), and no command pushes it sideways",
-        evidence={"ahead": course.real, "beside": abs(course)},
+        evidence={"ahead": course.real, "resultant_length": abs(course)},
         mapping=as_toml(mistake.edits(mapping)),
         alternatives=[astern] if course.real < -SETTINGS.off_course else [],
     )

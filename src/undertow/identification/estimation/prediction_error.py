@@ -148,16 +148,7 @@ class ChainedWindows:
     def _linearised(self, p: Array, starts: Array) -> LinearWindows:
         shooting, predictor = self._shooting, self._predictor
         start, commands = predictor.start_and_commands(self.windows, p, starts)
-        every = predictor.simulator.run_with_sensitivities(
-            start,
-            commands.t,
-            commands.held,
-            p,
-            shooting.places,
-            initial=range(self._size),
-            max_step=commands.longest_step,
-        )
-        x, s = map(commands.at_samples, every)
+        x, s = shooting.sensitivities(start, commands, p)
         reported, slope = shooting.report_slopes(x, s, commands.u, self.windows.t, p)
         end, by_all = x[:, -1, : self._size], s[:, -1, : self._size].copy()
         both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts, near=p))
@@ -168,8 +159,7 @@ class ChainedWindows:
     def _reports_and_ends(self, p: Array, starts: Array, near: Array) -> Array:
         """Reports of every window, and as a last row its end, shape (b, k + 1, 2n)."""
         start, commands = self._predictor.start_and_commands(self.windows, p, starts, near)
-        run, longest = self._predictor.simulator.run, commands.longest_step
-        x = commands.at_samples(run(start, commands.t, commands.held, p, max_step=longest))
+        x = self._predictor.states(start, commands, p)
         reported = self._predictor.reported(x, self.windows.t, commands.u, p)
         return np.concatenate([reported, x[:, -1:, : self._size]], axis=1)
 

@@ -390,6 +390,11 @@ class Predictor:
         (motion,) = mapped(self._points.true_motion_at, [start, *nothing, u[:, 0]], p, windows.t[:, 0])
         return np.asarray(motion[:, :, 0])
 
+    def states(self, start: Array, commands: WindowCommands, p: Array) -> Array:
+        """Simulate from states (b, nx): those at the samples, (b, k, nx)."""
+        states = self.simulator.run(start, commands.t, commands.held, p, max_step=commands.longest_step)
+        return commands.at_samples(states)
+
     def simulated(
         self, start: Array, t: Array, commands: WindowCommands, p: Array, before: Array | None = None
     ) -> Array:
@@ -397,8 +402,7 @@ class Predictor:
 
         `before` (b, 2n) is what late sensors report at the starts; without it the vehicle was as at first.
         """
-        states = self.simulator.run(start, commands.t, commands.held, p, max_step=commands.longest_step)
-        states = commands.at_samples(states)
+        states = self.states(start, commands, p)
         prompt = self.reported(states, t, commands.u, p)
         if not self.sensor_delay.present:
             return prompt

@@ -417,14 +417,22 @@ class Shooting:
     def _batch_products(
         self, rows: slice, p: Array, start: Array, commands: WindowCommands, finite: dict[int, Array]
     ) -> Products:
-        t, simulator = self.windows.t[rows], self.predictor.simulator
+        t = self.windows.t[rows]
         measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
             known = (commands.zero_filled(measured), commands.zero_filled(weight), self._groups(commands.t))
-            return simulator.products(
+            return self.predictor.simulator.products(
                 start, commands.t, commands.held, p, self.places, *known, max_step=commands.longest_step
             )
-        x, s = simulator.run_with_sensitivities(
+        x, s = self.sensitivities(start, commands, p)
+        reported, slope = self._reported_late(*self.report_slopes(x, s, commands.u, t, p), rows, p)
+        for k, values in finite.items():
+            slope[..., k] = values[rows]
+        return products_of(reported, slope, measured, weight, self._groups(t))
+
+    def sensitivities(self, start: Array, commands: WindowCommands, p: Array) -> tuple[Array, Array]:
+        """States at the samples, (b, k, nx), and their derivatives in the free parameters and the starts."""
+        x, s = self.predictor.simulator.run_with_sensitivities(
             start,
             commands.t,
             commands.held,
@@ -433,11 +441,7 @@ class Shooting:
             initial=range(self._size),
             max_step=commands.longest_step,
         )
-        x, s = commands.at_samples(x), commands.at_samples(s)
-        reported, slope = self._reported_late(*self.report_slopes(x, s, commands.u, t, p), rows, p)
-        for k, values in finite.items():
-            slope[..., k] = values[rows]
-        return products_of(reported, slope, measured, weight, self._groups(t))
+        return commands.at_samples(x), commands.at_samples(s)
 
     @cached_property
     def _reports_states(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from undertow.typing import Array
 
-from .mapping import SCHEMA, LogMapping, metres_per_degree
+from .mapping import SCHEMA, LogMapping, has_unit_length, metres_per_degree
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,6 @@ class FrameSettings:
     clearly: float = 0.6  # that share of the best, over that of the next best, at most
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
     correlation_limit: float = 0.9  # correlation of a rate with the change of the heading
-    rounded: float = 1e-2  # how far the length of a quaternion may be from one
     many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
     # Latitude or longitude below which a place is near zero and zero, where simulators put theirs: whether
     # it is in radians or in degrees cannot be told.
@@ -252,9 +251,9 @@ def _is_flag(values: Array) -> bool:
 
 
 def _is_unit(columns: Sequence[Array]) -> bool:
-    length = np.sqrt(sum(c**2 for c in columns))
-    finite = np.isfinite(length)
-    return bool(finite.any() and np.all(np.abs(length[finite] - 1.0) < SETTINGS.rounded))
+    q = np.array(columns)
+    finite = np.isfinite(q).all(axis=0)
+    return bool(finite.any() and has_unit_length(q[:, finite]).all())
 
 
 def formulas(names: Sequence[str]) -> dict[str, str]:

@@ -20,7 +20,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
 from undertow.model.tables import validated
 from undertow.model.units import si_of
-from undertow.typing import Array
+from undertow.typing import Array, Flags
 
 SCHEMA = "undertow/mapping/1"
 CommandPolicy = Literal["refuse", "hold", "gap"]
@@ -502,6 +502,14 @@ _HOW = (
 # --- what formats of logs state in other ways: quaternions, latitudes and longitudes, pressures ---
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
 """Seconds in the units of clocks, the likelier first."""
+
+
+_ROUNDED = 1e-2  # how far the length of a quaternion may be from one
+
+
+def has_unit_length(quaternions: Array) -> Flags:
+    """Which of the columns, (4, n), are quaternions of length one but for rounding; NaN has no length."""
+    return np.asarray(np.abs(np.linalg.norm(quaternions, axis=0) - 1.0) < _ROUNDED)
 
 
 def angles(w: Array, x: Array, y: Array, z: Array) -> dict[str, Array]:

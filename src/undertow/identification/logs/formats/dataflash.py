@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.mapping import ANGLES, Column, Frames, LogMapping
+from undertow.identification.logs.mapping import ANGLES, Column, Frames, LogMapping, has_unit_length
 from undertow.typing import Array, Flags, Index
 
 from .ardupilot import SETTINGS, Parameters, actuators, outputs, shorter_by_pymavlink
@@ -462,7 +462,7 @@ class _Navigation:
 
         def angles() -> Array:
             q = np.column_stack(rows[1:])
-            sound = np.abs(np.linalg.norm(q, axis=1) - 1.0) < _ROUNDED
+            sound = has_unit_length(q.T)
             turned = Rotation.from_quat(np.where(sound[:, None], q, [1.0, 0, 0, 0]), scalar_first=True)
             euler = (turned * self._trim().inv()).as_euler("ZYX")[:, ::-1]
             return np.where(sound[:, None], euler, np.nan).T
@@ -510,7 +510,6 @@ class _Navigation:
         return found
 
 
-_ROUNDED = 1e-2  # how far the norm of a quaternion may be from one
 _RESET_EVENTS = (60, 62)  # of altitude and of yaw
 _RESET = re.compile(
     r"EKF[23] (IMU\d+ (forced reset|.*yaw (re-?)?align|.*reset|is using|stopped aiding|started)|lane switch)"

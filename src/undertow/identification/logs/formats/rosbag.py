@@ -28,6 +28,7 @@ from undertow.identification.logs.mapping import (
     LogMapping,
     angles,
     depth,
+    has_unit_length,
 )
 from undertow.typing import Array, Flags
 
@@ -61,7 +62,6 @@ _TYPES: dict[str, dict[Kind, str]] = {
 }
 _DVL = re.compile(r"/(dvl|dvldata)$", re.IGNORECASE)
 _QUATERNION = re.compile(r"(?:^|(.*)\.)orientation\.w$")
-_ROUNDED = 1e-2  # how far the length of a quaternion may be from one
 _DRIVES = re.compile(r"thrust|motor|actuator|pwm|rc_?out|propeller|servo|(?:^|[/_])esc", re.IGNORECASE)
 _ASKED = re.compile(r"input|cmd|command|control|pwm|rpm|setpoint", re.IGNORECASE)
 _LIST = re.compile(r"(?:data|channels|outputs?|controls?|commands?|pwm|thrust|forces?)\[\d+\]")
@@ -125,9 +125,8 @@ def _are_quaternions(q: Array) -> Flags:
 
     Programs leave them zero where they measure none, or put angles there, few of which are of that length.
     """
-    length = np.linalg.norm(q, axis=0)
-    valid = np.abs(length - 1.0) < _ROUNDED
-    return np.asarray(valid & (2 * np.sum(valid) >= np.sum(length > 0.0)))
+    valid = has_unit_length(q)
+    return np.asarray(valid & (2 * np.sum(valid) >= np.sum(q.any(axis=0))))
 
 
 def _tracked(
@@ -171,7 +170,9 @@ def meaning(topics: Sequence[Topic]) -> tuple[LogMapping, tuple[tuple[str, Colum
     filled = {c for topic, fields in sources for c, n in _named(topic, fields, frames) if _filled(topic, n)}
     for topic, fields in sources:
         _take_motion(known, topic, fields, frames, filled)
-        known.notes += [_no_quaternion(topic, base) for base in _orientations(fields) if _is_odd(topic, base)]
+        known.notes += [
+            _no_quaternion(topic, base) for base in _orientations(fields) if _has_other_numbers(topic, base)
+        ]
     for topic in (one for one in _by_samples(topics, _DVL) if "velocity.x" in one.series.columns):
         _take_doppler(known, topic, frames)
     for topic in _by_samples(topics, re.compile("/FluidPressure$")):
@@ -278,11 +279,11 @@ def _named(topic: Topic, fields: Mapping[Kind, str], frames: Frames) -> Iterator
     for kind, base in fields.items():
         if kind == "pose":
             yield from ((axis, f"{base}.position.{axis}") for axis in _AXES)
-            if _is_turned(topic, f"{base}.orientation"):
+            if _has_quaternion(topic, f"{base}.orientation"):
                 yield from ((angle, f"{base}.orientation.{angle}") for angle in ANGLES)
         elif kind == "plane":
             yield from (("x", "x"), ("y", "y"), ("psi", "theta"))
-        elif kind == "attitude" and _has_attitude(topic.first) and _is_turned(topic, base):
+        elif kind == "attitude" and _has_attitude(topic.first) and _has_quaternion(topic, base):
             yield from ((angle, f"{base}.{angle}") for angle in ANGLES)
         elif kind == "twist":
             yield from ((channel, f"{base}.linear.{axis}") for channel, axis in _LINEAR.items())
@@ -299,15 +300,15 @@ def _orientations(fields: Mapping[Kind, str]) -> Iterator[str]:
             yield base if kind == "attitude" else f"{base}.orientation"
 
 
-def _is_turned(topic: Topic, quaternion: str) -> bool:
+def _has_quaternion(topic: Topic, quaternion: str) -> bool:
     """Whether any message of a topic has an attitude."""
     return bool(np.isfinite(topic.series.columns[f"{quaternion}.{ANGLES[0]}"]).any())
 
 
-def _is_odd(topic: Topic, quaternion: str) -> bool:
+def _has_other_numbers(topic: Topic, quaternion: str) -> bool:
     """Whether a topic has numbers in the place of its quaternion that are none."""
     parts = (topic.series.columns[f"{quaternion}.{axis}"] for axis in "wxyz")
-    return not _is_turned(topic, quaternion) and any(map(np.any, parts))
+    return not _has_quaternion(topic, quaternion) and any(map(np.any, parts))
 
 
 def _no_quaternion(topic: Topic, name: str) -> str:
