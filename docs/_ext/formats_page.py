@@ -108,6 +108,7 @@ _ABOUT = {
     "VehicleTable.thrusters": "thrusters, one `[[thrusters]]` table each",
     "VehicleTable.surfaces": "rudders, fins and planes, one `[[surfaces]]` table each",
     "VehicleTable.inputs": "logged quantities that drive effects and are neither motion nor command",
+    "VehicleTable.excluded_effects": "effects that the vehicle cannot have, which `diagnose` does not try",
     "VehicleTable.history": "written by undertow: where the values come from",
     "ParameterTable.value": "the value, in the sign convention of the file",
     "ParameterTable.forward": "value for motion ahead, in place of `value` where the two differ",

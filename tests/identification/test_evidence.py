@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from undertow.errors import UndertowError
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates, possible, possible_in
 from undertow.identification.diagnosis.evidence import (
@@ -332,6 +333,15 @@ def test_a_rate_that_no_gyro_measured_has_no_scale_and_no_bias() -> None:
     assert listed["sensor_delay"] == {"velocity_delay"}
     free = {c.id: {p.name for p in c.parameters} for c in candidates(model, catalogue())}
     assert free["sensor_scale"] == {"scale_velocity", "scale_rate"}
+
+
+def test_effects_that_the_vehicle_file_excludes_are_not_tried() -> None:
+    model = vehicle_of(make_case("usv", (), 22, duration=1.0))
+    free = replace(model, excluded_effects=("tether_drag", "tether_tension"))
+    out = {c.id for c in possible(model, catalogue())} - {c.id for c in possible(free, catalogue())}
+    assert out == {"tether_drag", "tether_tension"}
+    with pytest.raises(UndertowError, match=r"excluded_effects of vehicle .* names 'tether_drag'"):
+        free.with_effect(catalogue()["tether_drag"], {})
 
 
 def test_without_a_pose_beside_it_no_velocity_is_blamed_for_its_scale() -> None:

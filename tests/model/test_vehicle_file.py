@@ -235,6 +235,12 @@ REFUSED = [
     ('["tau_X"]', '["tau_Q"]', "'generalised_forces.#1'.*found 'tau_Q'"),
     ("signs =", "water_density = -1\nsigns =", r"water_density = -1 kg/m\^3 is impossible"),
     ("signs =", 'gravity = "9.81 m/s"\nsigns =', r"gravity: '9.81 m/s' has the dimension"),
+    ("signs =", 'excluded_effects = ["tether_drg"]\nsigns =', "'tether_drg' is not known.*tether_drag"),
+    (
+        "signs =",
+        'excluded_effects = ["added_mass"]\nsigns =',
+        r"excluded_effects of vehicle 'tug' names 'added_mass': remove it there, or remove \[eff",
+    ),
     # thrusters
     ('"main"', '"bow"', "two thrusters are called 'bow': rename one"),
     ('"main"', '"u"', "thruster 'u' has the name of a measured channel"),

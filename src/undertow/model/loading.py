@@ -230,6 +230,8 @@ def load_vehicle(
     table = read_vehicle_table(path)
     known = _known_effects(table, path, list(effect_files), trust_effects)
     try:
+        for name in table.excluded_effects:
+            lookup(name, known)
         vehicle, remarks = _vehicle_and_remarks(table, known, path.parent, {})
     except UndertowError as error:
         raise UndertowError(f"{source}: {error}") from error
@@ -304,6 +306,7 @@ def _vehicle_and_remarks(
         surfaces=surfaces,
         inputs=inputs,
         follows=statements.multiples(),
+        excluded_effects=tuple(table.excluded_effects),
     )
     vehicle = replace(vehicle, fitted_to=_fitted_to(table.history, vehicle))
     check_vehicle(vehicle)

@@ -150,6 +150,7 @@ class VehicleTable(FileTable):
     thrusters: list[ThrusterTable] = []
     surfaces: list[SurfaceTable] = []
     inputs: list[Identifier] = []
+    excluded_effects: list[Identifier] = []
     history: list[dict[str, object]] = []
 
 

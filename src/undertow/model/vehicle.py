@@ -117,6 +117,8 @@ class Vehicle:
     derived_velocities : tuple of str
         Velocities that were not measured but derived from the reported pose, so that its errors are in them
         and those of velocity sensors are not.
+    excluded_effects : tuple of str
+        Ids of effects that this vehicle cannot have, such as those of a tether: no diagnosis tries them.
     """
 
     name: str
@@ -133,6 +135,7 @@ class Vehicle:
     follows: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     velocity_along_earth: bool = False
     derived_velocities: tuple[str, ...] = ()
+    excluded_effects: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         parts = {
@@ -178,6 +181,11 @@ class Vehicle:
 
     def _check_requirements(self) -> None:
         for effect in self.effects:
+            if effect.id in self.excluded_effects:
+                raise UndertowError(
+                    f"excluded_effects of vehicle '{self.name}' names '{effect.id}': remove it there, "
+                    f"or remove [effects.{effect.id}]"
+                )
             missing = self.lacks(effect)
             if missing:
                 table = _HARDWARE_TABLES.get(missing[0], f"[effects.{missing[0]}]")

@@ -180,6 +180,7 @@ def possible(
     it is equivalent to a scale of inertia and drag, whatever their errors.
     """
     fitting = [c for c in known.values() if not (c.built_in or c.of_shape or vehicle.lacks(c))]
+    fitting = [c for c in fitting if c.id not in vehicle.excluded_effects]
     fitting = [c for c in fitting if c.observable_in(vehicle.degrees_of_freedom)]
     made = (Candidate(c, vehicle, runs) for c in fitting)
     marked = (replace(c, redundant=_unmeasured_parameters(c, derived, without_pose)) for c in made)
