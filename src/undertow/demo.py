@@ -19,7 +19,7 @@ from undertow.identification.diagnose import DiagnosisResult, diagnose, save_dia
 from undertow.identification.diagnosis.addition import (
     Addition,
     AdditionSetup,
-    add_effect,
+    add_effects,
     set_up_addition,
     visible_effects,
 )
@@ -122,7 +122,7 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     if outcome.effects:
         yield output.vehicle("auv/vehicle.toml", outcome, _AUV / "vehicle.toml", "the vehicle file, now with")
         setup = set_up_addition(vehicle, train, [test])
-        yield from _falling(output, add_effect(catalogue()[outcome.effects[0]], setup))
+        yield from _falling(output, add_effects([catalogue()[outcome.effects[0]]], setup))
     # What was hidden, read only now that all has been said.
     values = json.loads((_AUV / "truth.json").read_text(encoding="utf-8"))["values"]
     hidden = "; ".join(
@@ -170,7 +170,7 @@ def _pictures(output: _Output, outcome: DiagnosisResult) -> Iterator[Piece]:
 
 
 def _falling(output: _Output, addition: Addition) -> Iterator[Piece]:
-    names = ("model as given", "refitted", f"with {addition.effect}")
+    names = ("model as given", "refitted", f"with {addition.effects[0]}")
     rows = [
         (name, f"{step.error:.3g}", f"{step.prediction or 0.0:.1%}")
         for name, step in zip(names, addition.steps, strict=True)
@@ -204,9 +204,9 @@ class Way:
         logs = [_HULL / f"surge_{name}_coarse.csv.gz" for name in (profile, other)]
         run, held_out = read_logs(logs, vehicle, read_mapping(_HULL / "log.toml"))
         setup = set_up_addition(vehicle, [run], [held_out])
-        additions = [add_effect(effect, setup) for effect in visible_effects(setup, catalogue())]
+        additions = [add_effects([effect], setup) for effect in visible_effects(setup, catalogue())]
         outcome = diagnose(vehicle, [run], [held_out])
-        return cls(profile, other, setup, outcome, {a.effect: a for a in additions})
+        return cls(profile, other, setup, outcome, {a.effects[0]: a for a in additions})
 
     @property
     def name(self) -> str:

@@ -123,3 +123,12 @@ def test_a_mistake_is_one_line(
 def test_a_bundled_vehicle_is_not_changed_in_place(capsys: Capture) -> None:
     assert main(["add", "ocean_current", "box-hull", "log.csv", "--in-place"]) == 2
     assert "is bundled with undertow" in capsys.readouterr().err
+
+
+def test_several_effects_are_added_in_one_step(case: Path, capsys: Capture) -> None:
+    assert add("ocean_current, linear_damping_coupling", "--out", "new.toml", "--all", "--force") == 0
+    out = capsys.readouterr().out
+    assert "Adding ocean_current and linear_damping_coupling lowers the" in out.replace("\n", " ")
+    table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
+    assert {"ocean_current", "linear_damping_coupling"} <= table["effects"].keys()
+    assert table["history"][0]["added"] == ["ocean_current", "linear_damping_coupling"]

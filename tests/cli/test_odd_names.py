@@ -12,7 +12,7 @@ import pytest
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import Simulator
 from undertow.control.linear.numeric import motion_of, reversing
-from undertow.identification.diagnosis.addition import add_effect, set_up_addition
+from undertow.identification.diagnosis.addition import add_effects, set_up_addition
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
@@ -147,7 +147,7 @@ def test_the_weak_thruster_is_found_whatever_it_is_called(
     known = catalogue()
     gain = next(c for c in candidates(vehicle, known) if c.id == "thruster_gain")
     assert [p.name for p in gain.parameters] == [f"gain_error_{n}" for n in names]
-    added = add_effect(known["thruster_gain"], set_up_addition(vehicle, [train], [test]))
+    added = add_effects([known["thruster_gain"]], set_up_addition(vehicle, [train], [test]))
     assert added.helps
     assert added.kept == (f"gain_error_{names[1]}",)
     assert added.fit.values[added.kept[0]] == pytest.approx(-0.4, abs=0.02)

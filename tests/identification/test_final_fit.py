@@ -14,8 +14,8 @@ from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, 
 from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.functions import Functions
-from undertow.identification.api import Estimator
-from undertow.identification.diagnosis.addition import add_effect, best_predicting, set_up_addition
+from undertow.identification.api import Estimator, try_effect
+from undertow.identification.diagnosis.addition import add_effects, best_predicting, set_up_addition
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import held_by_default_prior, notes, unknown_scales
 from undertow.identification.estimation.output_error import (
@@ -53,7 +53,7 @@ def test_fit_add_and_diagnose_end_at_the_same_optimum(name: str) -> None:
     done = ut.fit(vehicle, [train], [test])
     fit = done.fit
     setup = set_up_addition(vehicle, [train], [test])
-    added = add_effect(ut.catalogue()["constant_force"], setup)
+    added = add_effects([ut.catalogue()["constant_force"]], setup)
     known = {"constant_force": ut.catalogue()["constant_force"]}
     diagnosed = ut.diagnose(vehicle, [train], [test], known=known).before
     again = ut.fit(fit.vehicle, [train], [test]).fit
@@ -101,7 +101,7 @@ def test_the_refitted_model_is_the_same_for_all_commands_if_the_model_lacks_an_e
         for name in ("train_1", "holdout")
     )
     current = ut.catalogue()["ocean_current"]
-    added = add_effect(current, set_up_addition(vehicle, [train], [test]))
+    added = add_effects([current], set_up_addition(vehicle, [train], [test]))
     diagnosed = ut.diagnose(vehicle, [train], [test], known={current.id: current})
     assert diagnosed.effects == [current.id]
     for step, same in zip(added.steps[1:], diagnosed.diagnosis.steps, strict=True):
@@ -313,3 +313,19 @@ def test_a_fit_with_an_effect_ends_at_the_same_optimum_from_an_unstable_model() 
     for name in fits[0].model.free:
         error = fits[0].standard_errors[name]
         assert fits[1].values[name] == pytest.approx(fits[0].values[name], abs=0.1 * error)
+
+
+def test_effects_added_in_one_step_end_where_they_end_one_by_one() -> None:
+    case = make_case("usv", ("ocean_current", "thruster_deadband"), 12, duration=60.0)
+    vehicle, (first, second, *_) = vehicle_of(case), runs_of(case)
+    together = try_effect(vehicle, ["ocean_current", "thruster_deadband"], [first], [second])[1]
+    current = try_effect(vehicle, "ocean_current", [first], [second])[1]
+    then = try_effect(current.fit.vehicle, "thruster_deadband", [first], [second])[1]
+    assert together.effects == ("ocean_current", "thruster_deadband")
+    assert set(together.kept) == {"V_N", "V_E", "deadband_width"}
+    assert together.after.error == pytest.approx(then.after.error, rel=0.02)
+    assert together.after.prediction == pytest.approx(then.after.prediction, rel=0.02)
+    assert together.before.ahead == current.before.ahead
+    errors = together.fit.standard_errors
+    for name, value in then.fit.values.items():
+        assert abs(together.fit.values[name] - value) < 0.1 * errors[name], name

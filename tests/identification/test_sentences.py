@@ -179,7 +179,8 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
 
 def test_each_verdict_says_what_to_do() -> None:
     several = _diagnosis("missing_effect", effects=["lift", "wind"])
-    assert next_command(several, LINE).endswith("--apply 'my rov-better.toml'")
+    assert "undertow add lift,wind 'my rov.toml'" in next_command(several, LINE)
+    assert next_command(several, LINE).endswith("--out 'my rov-better.toml'")
     equals = [Indistinguishable(effects=["lift", "wind"], reason="")]
     either = _diagnosis("indistinguishable", indistinguishable=equals)
     assert "but wind would achieve the same" in first_sentence(either)

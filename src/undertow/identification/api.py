@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
@@ -17,8 +17,7 @@ from undertow.typing import Progress
 from .comparison import finite
 from .diagnose import CombinedFits, roles, save_result, uncertainty
 from .diagnose import diagnose as diagnose
-from .diagnosis.addition import Addition, AdditionSetup, set_up_addition
-from .diagnosis.addition import add_effect as added
+from .diagnosis.addition import Addition, AdditionSetup, add_effects, set_up_addition
 from .diagnosis.parallel import one_thread
 from .diagnosis.result import ValuesByRun, read_diagnosis, run_info
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
@@ -424,31 +423,31 @@ def _method(name: str) -> Method:
 
 
 def add_effect(
-    vehicle: Vehicle, effect: str, runs: Runs, validation: Runs = (), *, force: bool = False
+    vehicle: Vehicle, effect: str | Sequence[str], runs: Runs, validation: Runs = (), *, force: bool = False
 ) -> Vehicle:
-    """Add an effect to a model and refit the model.
+    """Add an effect to a model, or several, and refit the model.
 
     Parameters
     ----------
     vehicle : Vehicle
         The model.
-    effect : str
-        Id of an effect of the catalogue.
+    effect : str or sequence of str
+        Id of an effect of the catalogue, or ids of several, in the order in which they are added.
     runs, validation : Run or sequence of Run
         Logs to fit to and to validate on; without `validation`, parts of `runs` are set aside for it.
     force : bool
-        Add it even if it does not reduce the error on validation data.
+        Add them even if this does not reduce the error on validation data.
 
     Returns
     -------
     Vehicle
-        The refitted model with the effect.
+        The refitted model with the effects.
 
     Raises
     ------
     UndertowError
-        If there is no such effect, the model has it already, or it does not reduce the error and `force` is
-        not given.
+        If there is no such effect, the model has it already, or the error is not reduced and `force` is not
+        given.
 
     Examples
     --------
@@ -464,8 +463,8 @@ def add_effect(
     done = try_effect(vehicle, effect, runs, validation)[1]
     if not (done.helps or force):
         raise UndertowError(
-            f"effect '{effect}' does not lower the error on validation data ({done.before.error:.3g} "
-            f"without, {done.after.error:.3g} with it): force=True adds it anyway"
+            f"adding {listed(done.effects)} does not lower the error on validation data "
+            f"({done.before.error:.3g} without, {done.after.error:.3g} with): force=True adds it anyway"
         )
     return done.fit.vehicle
 
@@ -473,7 +472,7 @@ def add_effect(
 @one_thread()
 def try_effect(
     vehicle: Vehicle,
-    effect: str,
+    effect: str | Sequence[str],
     runs: Runs,
     validation: Runs = (),
     *,
@@ -482,15 +481,16 @@ def try_effect(
     report: Progress = lambda done, words: None,
     trust_log: bool = False,
 ) -> tuple[AdditionSetup, Addition]:
-    """Fit a model with and without an effect; return the data used and the change in error.
+    """Fit a model with and without effects; return the data used and the change in error.
 
     Parameters and exceptions are those of `add_effect`; `keep_all` keeps parameters that turn out to be zero.
     """
-    wanted = lookup(effect, catalogue() if known is None else known)
+    effects = catalogue() if known is None else known
+    wanted = [lookup(name, effects) for name in ([effect] if isinstance(effect, str) else effect)]
     report(0.0, "fitting the model as given")
     setup = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
-    report(0.3, f"fitting it with {wanted.id}")
-    return setup, added(wanted, setup, keep_all=keep_all)
+    report(0.3, f"fitting it with {listed([w.id for w in wanted])}")
+    return setup, add_effects(wanted, setup, keep_all=keep_all)
 
 
 def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
@@ -500,7 +500,7 @@ def result_of(setup: AdditionSetup, addition: Addition) -> AdditionResult:
 
 
 def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path, out: Path) -> None:
-    """Write the vehicle file with an effect that was added, in the form of the one that it came from."""
+    """Write the vehicle file with effects that were added, in the form of the one that it came from."""
     save_result(
         addition.fit.vehicle,
         template,
@@ -509,7 +509,7 @@ def save_addition(setup: AdditionSetup, addition: Addition, template: str | Path
         roles(setup.train, setup.test),
         (addition.before.error, addition.after.error),
         uncertainty(addition.fit),
-        added=[addition.effect],
+        added=[*addition.effects],
         helps=addition.helps,
     )
 

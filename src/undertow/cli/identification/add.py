@@ -1,13 +1,15 @@
-"""Add an effect to a vehicle file, refit, regenerate the code, and show the error before and after.
+"""Add effects to a vehicle file, refit, regenerate the code, and show the error before and after.
 
 The effect is added to the model, all parameters marked as estimated are refitted with it, and both models are
 evaluated on validation data: the logs given with --holdout, or segments of the logs if none is given.
-Parameters of the effect that turn out to be zero are left out (--all keeps them).
+Parameters of the effect that turn out to be zero are left out (--all keeps them). Several effects, with
+commas between them, are added one by one.
 
     undertow add ocean_current rov.toml run1.csv run2.csv --holdout run3.csv --out better.toml
+    undertow add rudder_drag,hull_cubic ship.toml run1.csv run2.csv --out better.toml
 
-Without --out or --in-place, nothing is written. If the effect does not lower the error on validation data,
-nothing is written either and the exit code is 1; --force writes the file anyway.
+Without --out or --in-place, nothing is written. If the error on validation data is not lowered, nothing is
+written either and the exit code is 1; --force writes the file anyway.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ if TYPE_CHECKING:
     from undertow.codegen.manifest import Report
     from undertow.identification.diagnosis.addition import Addition
 
-_EFFECT = typer.Argument(metavar="EFFECT", help="Id of the effect; 'undertow effects' lists them.")
-_FORCE = typer.Option("--force", help="Add the effect even if it does not reduce the error.")
+_EFFECT = typer.Argument(metavar="EFFECT[,EFFECT]", help="Ids of effects; 'undertow effects' lists them.")
+_FORCE = typer.Option("--force", help="Add the effects even if they do not reduce the error.")
 _CODEGEN = typer.Option("--codegen/--no-codegen", help="Regenerate the C code of the new vehicle.")
 _BUILD = typer.Option(metavar="FOLDER", help="Folder for the code; it goes into a subfolder NAME.")
 _PICTURE = typer.Option(metavar="FILE.png", help="Draw the error before and after.")
@@ -51,14 +53,16 @@ def add(
     picture: Annotated[Path | None, _PICTURE] = None,
     json: JsonFileOption = None,
 ) -> int:
+    from undertow.errors import listed
     from undertow.files import check_folder, together, write_whole
     from undertow.identification.api import result_of, save_addition, try_effect
     from undertow.identification.long_logs.choosing import FIT
     from undertow.model.catalogue import lookup
 
-    known = options.known
+    known, effects = options.known, [name.strip() for name in effect.split(",")]
     refuse_vehicle_as_effect(effect, vehicle, known)
-    lookup(effect, known)  # before any log is read
+    for name in effects:
+        lookup(name, known)  # before any log is read
     read = [*logs, *(holdout or []), *options.files]
     target = target_of(vehicle, out, in_place, picture, json, inputs=read)
     if target is not None and codegen:
@@ -67,10 +71,12 @@ def add(
     model, train, test, _, _ = loaded
     with progress("fitting the model as given") as report:
         setup, addition = try_effect(
-            model, effect, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
+            model, effects, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
         )
     show(addition)
-    long = loaded.checked({"as given": setup.vehicle, f"with {addition.effect}": addition.fit.vehicle})
+    long = loaded.checked(
+        {"as given": setup.vehicle, f"with {listed(addition.effects)}": addition.fit.vehicle}
+    )
     say_long(long)
     code, taken = None, target if addition.helps or force else None
     with progress("writing", None), together() as files:
@@ -85,7 +91,8 @@ def add(
     _show_written([picture, json, taken], code)
     if not addition.helps and not force:
         written = "--force adds it anyway" if target is None else "--force writes it anyway"
-        typer.echo(f"{effect} is not added to the vehicle file; {written}", err=True)
+        are = "is" if len(effects) == 1 else "are"
+        typer.echo(f"{listed(effects)} {are} not added to the vehicle file; {written}", err=True)
         return 1
     if target is None:
         typer.echo("nothing was written: --out NEW.toml or --in-place writes the vehicle file")
@@ -93,13 +100,15 @@ def add(
 
 
 def show(addition: Addition) -> None:
-    """Say what the effect does to the error, and with which values."""
+    """Say what the effects do to the error, and with which values."""
+    from undertow.errors import listed
     from undertow.identification.estimation.step import UNDETERMINED
     from undertow.identification.report.results import addition_sentence
     from undertow.identification.report.sentences import percentage
 
     say(addition_sentence(addition), "" if addition.helps else "yellow")
-    names = ("model as given", f"refitted without {addition.effect}", f"refitted with {addition.effect}")
+    added = listed(addition.effects)
+    names = ("model as given", f"refitted without {added}", f"refitted with {added}")
     horizons = list(dict.fromkeys(h for step in addition.steps for h in step.ahead))
     rows = [
         (name, f"{step.error:.4g}", *(percentage(step.ahead.get(h), 3) for h in horizons))

@@ -1,4 +1,4 @@
-"""Adding one effect to a model: the refit, and the error on validation data before and after."""
+"""Adding effects to a model: the refit, and the error on validation data before and after."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, base_name, origins, whitened
 from undertow.identification.estimation.test_functions import Whitening
-from undertow.identification.estimation.weak_form import WeakFit, mean_square
+from undertow.identification.estimation.weak_form import WeakFit, free_parameters, mean_square
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -52,18 +52,18 @@ class AdditionSetup:
 
 @dataclass(frozen=True)
 class Addition:
-    """An effect that was added to a model.
+    """Effects that were added to a model.
 
-    effect: its id.
-    fit: the fit of the model with it.
-    kept, dropped: parameters of the effect that are in the model now, and those that turned out to be zero.
+    effects: their ids.
+    fit: the fit of the model with them.
+    kept, dropped: their parameters that are in the model now, and those that turned out to be zero.
     given, before, after: error on validation data (1 = sensor noise) and prediction ahead, of the model as
-    given, refitted without the effect, and refitted with it.
-    evidence: how strongly the validation data support the effect.
-    ahead: error of predicted velocities over the vehicle's horizons without and with it, as shares.
+    given, refitted without the effects, and refitted with them.
+    evidence: how strongly the validation data support the effects.
+    ahead: error of predicted velocities over the vehicle's horizons without and with them, as shares.
     """
 
-    effect: str
+    effects: tuple[str, ...]
     fit: Fitted
     kept: tuple[str, ...]
     dropped: tuple[str, ...]
@@ -102,26 +102,60 @@ def set_up_addition(
 
 
 @np.errstate(over="ignore", invalid="ignore")  # unbounded states are rejected by their cost
-def add_effect(effect: type[Effect], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
-    """Add an effect to the model, refit all parameters, and evaluate it on validation data."""
-    base = setup.bench.base.model.functions.vehicle
-    candidate = replace(_candidate(effect, base), runs=origins(setup.bench.train.runs))
-    candidate = without_redundant(candidate, setup.bench)
-    screened = screen(candidate, setup.bench)
+def add_effects(effects: Sequence[type[Effect]], setup: AdditionSetup, *, keep_all: bool = False) -> Addition:
+    """Add effects to the model one by one, refit it each time, and evaluate it on validation data.
+
+    keep_all: whether parameters that turn out to be zero are kept.
+    """
+    bench, added = setup.bench, list[_Added]()
+    for effect in effects:
+        bench = added[-1].bench_with_it if added else bench
+        added.append(_added(effect, bench, keep_all))
+    last, candidates = added[-1], [one.candidate for one in added]
+    # Models without and with the effects are evaluated under the noise model of the better fit.
+    refined = last.bench if len(added) == 1 else setup.bench.with_noise_model_of(last.full)
+    return _evaluated(setup, refined, candidates, [last_fit(last.fit, candidates), last.fit])
+
+
+@dataclass(frozen=True)
+class _Added:
+    """An effect that was added to the base of a bench.
+
+    full, fit: the fits with all of its parameters and with those that matter.
+    bench: that to which it was added, under the noise model of the full fit.
+    """
+
+    candidate: Candidate
+    full: WeakFit
+    fit: WeakFit
+    bench: Bench
+
+    @property
+    def bench_with_it(self) -> Bench:
+        """The bench whose base has the effect."""
+        grown = self.candidate.vehicle_with(self.fit.values)
+        return replace(self.bench, base=self.bench.fit(grown, free_parameters(grown), self.fit.values))
+
+
+def _added(effect: type[Effect], bench: Bench, keep_all: bool) -> _Added:
+    """Fit the model with one more effect."""
+    base = bench.base.model.functions.vehicle
+    candidate = replace(_candidate(effect, base), runs=origins(bench.train.runs))
+    candidate = without_redundant(candidate, bench)
+    screened = screen(candidate, bench)
     if not _visible(candidate, screened[0].start):
         raise UndertowError(
-            f"effect '{effect.id}' has no influence on '{setup.bench.base.vehicle.name}' in these logs: its "
-            "parameters cannot be estimated"
+            f"effect '{effect.id}' has no influence on '{base.name}' in these logs: its parameters cannot be "
+            "estimated"
         )
-    start = best_start(candidate, setup.bench, [s.values for s in screened])
-    first = _fit_candidate(candidate, setup.bench, start, keep_all)
+    start = best_start(candidate, bench, [s.values for s in screened])
+    first = _fit_candidate(candidate, bench, start, keep_all)
     if candidate.sizes and not first.kept:
         # No parameter differs significantly from zero: the validation data decide, with all of them.
-        keep_all, first = True, _fit_with_all_parameters(candidate, setup.bench, start)
-    # Both models are evaluated under the noise model of the better fit.
-    refined = setup.bench.with_noise_model_of(first.full)
+        keep_all, first = True, _fit_with_all_parameters(candidate, bench, start)
+    refined = bench.with_noise_model_of(first.full)
     found = _fit_candidate(candidate, refined, first.fit.values, keep_all).fit
-    return _evaluated(setup, refined, candidate, [last_fit(found, [candidate]), found])
+    return _Added(candidate, first.full, found, refined)
 
 
 def _candidate(effect: type[Effect], vehicle: Vehicle) -> Candidate:
@@ -163,22 +197,25 @@ def _fit_with_all_parameters(candidate: Candidate, bench: Bench, start: dict[str
     return Trial(candidate, fit, fit, candidate.sizes, bench.score(fit))
 
 
-def _evaluated(setup: AdditionSetup, bench: Bench, candidate: Candidate, fits: Sequence[WeakFit]) -> Addition:
+def _evaluated(
+    setup: AdditionSetup, bench: Bench, candidates: Sequence[Candidate], fits: Sequence[WeakFit]
+) -> Addition:
     # The final fit of `fit`, from the same start: both commands give the same model.
     weak, fit, with_it = best_predicting(setup, fits)
     base = setup.validator.final(setup.bench.base)
     without = float(horizon_error([base], setup.test)[0])
-    own = tuple(p.name for p in candidate.parameters)
+    own = tuple(p.name for candidate in candidates for p in candidate.parameters)
+    effects = tuple(candidate.id for candidate in candidates)
     kept = tuple(n for n in own if n in fit.model.values.names)
     noise = fit.model.whitening(bench.test, np.asarray(fit.p))
     return Addition(
-        candidate.id,
+        effects,
         fit,
         kept,
         tuple(n for n in own if n not in kept),
         _step(setup, [], setup.vehicle, noise),
         _step(setup, [], base, noise),
-        _step(setup, [candidate.id], fit, noise),
+        _step(setup, [*effects], fit, noise),
         compare_scores(bench.base_score, bench.score(weak), bench.test),
         (without, with_it),
     )

@@ -9,6 +9,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from undertow.errors import listed
 from undertow.identification.comparison import finite
 from undertow.identification.diagnosis.addition import Addition
 from undertow.identification.diagnosis.result import Estimate, RunInfo, Step, ValuesByRun
@@ -96,14 +97,15 @@ class AdditionResult(ResultTable):
     schema_id: Literal["undertow/addition/1"] = "undertow/addition/1"
     undertow: str = __version__
     vehicle: str
-    effect: str
+    effect: str  # id of the effect, or ids with commas between them
+    effects: list[str]  # ids in the order in which they were added
     helps: bool
     sentence: str
     runs: list[RunInfo]
-    steps: list[Step]  # the model as given, refitted without the effect, and with it
+    steps: list[Step]  # the model as given, refitted without the effects, and with them
     fall: float  # mean fall of the mean square over the blocks of the validation data
     interval: tuple[float | None, float | None]  # of 95 %, of the fall
-    p_value: float  # chance of so consistent a fall where the effect does nothing
+    p_value: float  # chance of so consistent a fall where the effects do nothing
     parameters: list[Estimate]
     dropped: list[str]
     # How long logs were decimated and which segments were used; null for logs that fit as a whole.
@@ -111,11 +113,12 @@ class AdditionResult(ResultTable):
 
 
 def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) -> AdditionResult:
-    """An addition to a vehicle, as it is written to JSON."""
+    """Additions to a vehicle, as they are written to JSON."""
     low, high = addition.evidence.interval
     return AdditionResult(
         vehicle=stated.name,
-        effect=addition.effect,
+        effect=",".join(addition.effects),
+        effects=[*addition.effects],
         helps=addition.helps,
         sentence=addition_sentence(addition),
         runs=runs,
@@ -129,14 +132,14 @@ def addition_result(addition: Addition, stated: Vehicle, runs: list[RunInfo]) ->
 
 
 def addition_sentence(addition: Addition) -> str:
-    """How an effect and the file's own values change the error, and whether the model is useful."""
-    stated = as_stated(addition.given, addition.after, f"refitted with {addition.effect}")
+    """How effects and the file's own values change the error, and whether the model is useful."""
+    stated = as_stated(addition.given, addition.after, f"refitted with {listed(addition.effects)}")
     return f"{_change(addition)} {stated} {useless(addition.after.channels)}".strip()
 
 
 def _change(addition: Addition) -> str:
     ahead = step_changes(addition.before, addition.after)
-    change = f"Adding {addition.effect} {ahead or 'changes no prediction'} on the validation data"
+    change = f"Adding {listed(addition.effects)} {ahead or 'changes no prediction'} on the validation data"
     if addition.helps:
         return f"{change}."
     before, after = addition.ahead

@@ -271,16 +271,15 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
 
     plannable: whether a manoeuvre can be planned, with commands that move the vehicle.
     """
-    # Effects that only improve predictions are added one by one: the first may suffice.
-    effects, freed = diagnosis.effects or diagnosis.helps[:1], diagnosis.freed
+    effects, freed = _effects_mentioned(diagnosis), diagnosis.freed
     told_apart = plannable and diagnosis.indistinguishable and _separable(diagnosis)
     if diagnosis.verdict == "indistinguishable" and told_apart:
         between = ",".join(diagnosis.indistinguishable[0].effects)
         return line.on_logs(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
-    if len(effects) == 1 and not freed:
-        return line.with_holdout(["add", effects[0]], "--out", line.vehicle_file(effects[0]))
+    improved = line.vehicle_file(effects[0] if len(effects) == 1 else "better" if effects else "fitted")
+    if effects and not freed:
+        return line.with_holdout(["add", ",".join(effects)], "--out", improved)
     if effects or freed:
-        improved = line.vehicle_file("better" if effects else "fitted")
         return line.with_holdout(["diagnose"], "--apply", improved)
     if diagnosis.verdict == "adequate":
         return line.with_holdout(["fit"], "--out", line.vehicle_file("fitted"))
