@@ -419,6 +419,12 @@ def test_rows_out_of_order_are_refused_or_dropped(log):
     refused(log, "t,u\n0,1\n,2\n1,3\n", "missing", mapping={"time": {"disorder": "drop"}})
 
 
+def test_a_damaged_heading_leaves_the_others_as_they_are(log):
+    rows = (f"{0.1 * i},{0.01 * i if i != 7 else -7.3e307}" for i in range(30))
+    psi = log("\n".join(["t,psi", *rows])).channels["psi"]
+    np.testing.assert_allclose(np.delete(psi, 7), 0.01 * np.delete(np.arange(30), 7), atol=1e-12)
+
+
 def test_angles_are_kept_as_they_jump_in_the_log(log):
     run = log("t,psi,u\n0,3.1,1\n1,-3.1,1\n2,-3.0,2\n")
     np.testing.assert_allclose(run.channels["psi"], [3.1, -3.1 + 2 * math.pi, -3.0 + 2 * math.pi])

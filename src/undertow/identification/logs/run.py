@@ -279,6 +279,7 @@ class JumpSettings:
 JUMPS = JumpSettings()
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a damaged number, 1e308 rad
 def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Samples of an angle on its way from one end of its range to the other, which no vehicle has turned.
 
