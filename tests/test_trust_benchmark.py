@@ -489,5 +489,5 @@ def test_other_methods_get_straight_lines_where_a_channel_has_gaps() -> None:
 )
 def test_what_no_catalogue_knows_does_not_get_the_name_of_what_goes_along_with_it(case: str) -> None:
     said = measured(Planned.read(case), peers=False)[0]
-    assert said["answer"]["verdict"] == "helps_prediction"
-    assert "its size would drop to" in said["headline"]
+    assert said["answer"]["verdict"] in {"helps_prediction", "unexplained"}
+    assert "is not established: its size would" in said["headline"]

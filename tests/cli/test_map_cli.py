@@ -333,9 +333,24 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert {"left_pwm", "right_pwm"} <= {g.channel for g in found.columns}
     nowhere = {"t": t, "latitude": 0.0 * t, "longitude": 0.0 * t}
     assert not guess_table(pl.DataFrame(nowhere), Path("own.csv")).columns
-    minutes = {"t": t, "Lat": 4854.595 + 0.001 * north, "Lon": -13036.243 + 0.001 * east}
-    (reason,) = guess_table(pl.DataFrame(minutes), Path("own.csv")).ignored
-    assert "degrees and minutes" in reason
+    beyond = {"t": t, "Lat": 4864.595 + 0.001 * north, "Lon": -13036.243 + 0.001 * east}
+    (reason,) = guess_table(pl.DataFrame(beyond), Path("own.csv")).ignored
+    assert "not in degrees" in reason
+
+
+def test_latitude_and_longitude_may_be_in_degrees_and_minutes(tmp_path: Path) -> None:
+    """As in sentences of NMEA 0183, across a whole degree: 48 degrees 59.999' is followed by 49 degrees."""
+    t = np.arange(0.0, 60.0, 0.5)
+    north, east = 30.0 * np.sin(0.1 * t), 20.0 * np.cos(0.1 * t) - 20.0
+    degrees = 48.99995 + north / 111_210, -130.60405 + east / 73_170  # metres in a degree at 49 degrees
+    lat, lon = (np.sign(d) * (100.0 * np.floor(abs(d)) + 60.0 * (abs(d) % 1.0)) for d in degrees)
+    (tmp_path / "own.csv").write_text(text_of({"t": t, "Lat": lat, "Lon": lon}))
+    found = guess_mapping(tmp_path / "own.csv")
+    assert any("if these are degrees and minutes (4854.6 for" in question for question in found.asked)
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.channels["x"], north, atol=0.05)
+    np.testing.assert_allclose(run.channels["y"], east, atol=0.05)
 
 
 @pytest.mark.parametrize(("place", "unit"), [((1.12, 0.157), "radians"), ((0.01, 0.02), "degrees")])

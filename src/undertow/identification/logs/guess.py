@@ -620,7 +620,7 @@ def _ignored(
         elif name.force:
             reason = "a force on the vehicle, which its thrusters make"
         elif column in no_degrees:
-            reason = "? a latitude or longitude that is not in degrees (degrees and minutes as 4854.6?)"
+            reason = "? a latitude or longitude that is not in degrees"
         elif name.motion(only) or column in rotation or column in latitude_and_longitude(columns):
             reason = "another column looks more like the measurement"
         else:

@@ -13,7 +13,7 @@ import numpy as np
 
 from undertow.typing import Array
 
-from .mapping import SCHEMA, LogMapping, has_unit_length, metres_per_degree
+from .mapping import SCHEMA, Formula, LogMapping, has_unit_length, metres_per_degree
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,9 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
 
     A fix at zero and zero is that of a receiver without one.
     """
-    to_degrees, written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
-    lat, lon = to_degrees * latitude[1], to_degrees * longitude[1]
+    written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
+    degrees = {name: written.format(_in_formula(name)) for name, _ in (latitude, longitude)}
+    lat, lon = (Formula(degrees[name]).of({name: data}) for name, data in (latitude, longitude))
     fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
     if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
         return {}
@@ -187,24 +188,34 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
     for channel, (name, _), data, size in zip(
         "xy", (latitude, longitude), (lat, lon), metres_per_degree(float(lat[first])), strict=True
     ):
-        degrees = _in_formula(name) + written
-        formula = f"({degrees} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
+        formula = f"({degrees[name]} - {data[first]:.9f}) * {size:.2f}".replace("- -", "+ ")
         found[channel] = formula, (data - data[first]) * size
     return found
 
 
-_DEGREES = {"degrees": (1.0, ""), "1e-7 degrees": (1e-7, " / 1e7"), "radians": (180 / np.pi, " * 180 / pi")}
+_MINUTES = "degrees and minutes (4854.6 for 48 degrees 54.6', west and south negative)"
+# Formulas for degrees.
+_DEGREES = {
+    "degrees": "{0}",
+    "1e-7 degrees": "{0} / 1e7",
+    "radians": "{0} * 180 / pi",
+    _MINUTES: "({0} - 40 * sign({0}) * floor(abs({0}) / 100)) / 60",
+}
 
 
 def unit_of_place(latitude: Array, longitude: Array) -> str:
     """The unit of latitude and longitude.
 
-    Whole numbers of 1e-7 degrees are those of MAVLink; degrees and minutes, with or without seconds, stay far
-    below. What a radian can say is in degrees a piece of sea off Africa: few vehicles are there.
+    Whole numbers of 1e-7 degrees are those of MAVLink; degrees and minutes as in NMEA 0183 stay far below,
+    and their last two digits before the point below 60. What a radian can say is in degrees a piece of sea off
+    Africa: few vehicles are there.
     """
     north, east = (float(np.nanmax(np.abs(data), initial=0.0)) for data in (latitude, longitude))
     if north > SETTINGS.many_units:
         return "1e-7 degrees"
+    minutes = [np.abs(data[np.isfinite(data)]) % 100.0 for data in (latitude, longitude)]
+    if max(north, east) > 360.0 and north <= 9000.0 and east <= 18000.0:
+        return _MINUTES if all(np.all(m < 60.0) for m in minutes) else "degrees"
     known = max(north, east) > SETTINGS.nowhere
     return "radians" if known and north <= np.pi / 2 and east <= np.pi else "degrees"
 
