@@ -207,8 +207,8 @@ def unit_of_place(latitude: Array, longitude: Array) -> str:
     """The unit of latitude and longitude.
 
     Whole numbers of 1e-7 degrees are those of MAVLink; degrees and minutes as in NMEA 0183 stay far below,
-    and their last two digits before the point below 60. What a radian can say is in degrees a piece of sea off
-    Africa: few vehicles are there.
+    and the last two digits before their point below 60. What a radian can say is in degrees a piece of sea
+    off Africa: few vehicles are there.
     """
     north, east = (float(np.nanmax(np.abs(data), initial=0.0)) for data in (latitude, longitude))
     if north > SETTINGS.many_units:
