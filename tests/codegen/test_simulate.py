@@ -89,7 +89,7 @@ def test_time_runs_on_within_a_step(compiled: bool | None) -> None:
 
 def test_the_method_is_of_fourth_order(compiled: bool | None) -> None:
     functions = functions_of("full")
-    p = random_parameters(functions, 8)  # with these no motion passes zero on the way
+    p = random_parameters(functions, 11)  # with these no motion passes zero on the way
     # Memory and lag are smooth; dead band and asymmetries have kinks, at which every method loses its order.
     names = functions.parameter_names
     p[[i for i, n in enumerate(names) if "back" in n or n == "deadband_width" or "abs" in n]] = 0.0

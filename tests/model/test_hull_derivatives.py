@@ -49,12 +49,34 @@ def test_a_rudder_drags_to_either_side_and_a_propeller_does_not() -> None:
     assert force("rudder_drag", values, {"u": -u}, rudder=delta)["X"] > 0, "astern it brakes as well"
 
 
+def test_the_flow_past_a_rudder_in_drift_lessens_its_drag() -> None:
+    """MMG standard: F_N = f U_R^2 sin(alpha_R), alpha_R = delta - gamma_R (v + x_R r) / u, here with signs of
+    a rudder that pushes to port at x_R = -3.5 m.
+    """
+    f, t_r, gamma = 30.0, 0.387, 0.6
+    nu = {"u": 1.2, "v": 0.04, "r": -0.02}
+    values = {"rudder_drag_rudder": (1 - t_r) * f, "rudder_inflow_rudder": (1 - t_r) * f * gamma}
+    for delta in (0.05, -0.05):
+        to_port = -(nu["v"] - 3.5 * nu["r"])
+        normal = f * nu["u"] ** 2 * np.sin(delta - gamma * to_port / nu["u"])
+        found = force("rudder_drag", values, nu, rudder=delta)["X"]
+        assert found == pytest.approx(-(1 - t_r) * normal * np.sin(delta), rel=3e-3)
+
+
+def test_a_rudder_in_a_slipstream_drags_without_speed() -> None:
+    """What pushes by 20 N per radian along the hull's side, pushes astern by its sine where it turns."""
+    for delta in (0.05, -0.05):
+        found = force("rudder_drag", {"slipstream_drag_rudder": 20.0}, {}, rudder=delta)["X"]
+        assert found == pytest.approx(-20.0 * delta * np.sin(delta), rel=1e-3)
+
+
 def test_rudder_drag_is_sought_only_where_there_is_a_rudder_across_the_hull() -> None:
     names = ("screw", "rudder")
     effects = tuple(catalogue()[i](names) for i in ("rigid_body", "rudder_force"))
     ship = Vehicle("ship", SHIP, effects, {"m": Value(10.0)}, (PROPELLER, RUDDER))
     (found,) = candidates(ship, {"rudder_drag": catalogue()["rudder_drag"]})
-    assert [p.name for p in found.parameters] == ["rudder_drag_rudder"]
+    own = ["rudder_drag_rudder", "rudder_inflow_rudder", "slipstream_drag_rudder"]
+    assert [p.name for p in found.parameters] == own
     without = Vehicle("ship", SHIP, effects[:1], {"m": Value(10.0)}, (PROPELLER, RUDDER))
     assert not candidates(without, {"rudder_drag": catalogue()["rudder_drag"]})
 

@@ -61,6 +61,7 @@ class TypeRules:
     rudder_aspect: float = 1.5
     rudder_hull: float = 0.3  # force on the hull per force on the rudder, a_H: KVLCC2 0.312
     rudder_deduction: float = 0.4  # t_R: KVLCC2 0.387
+    straightening: float = 0.5  # gamma_R: KVLCC2 0.395 and 0.640
     rudder: float = 0.5  # sigma: slipstream and wake are not known
     propellers: tuple[float, float] = (-0.5, 0.37)  # of a craft with two, over length and beam: Otter
     azimuth: float = 0.36  # place of azimuth thrusters over length, assumed: nothing published was checked
@@ -362,15 +363,20 @@ def _ship(size: MainDimensions) -> Made:
         _RULES.rudder * force,
         f"{text}, and a_H = {_RULES.rudder_hull:g}",
     )
-    held = _guess(
-        "rudder_drag_rudder",
-        force * (1 - _RULES.rudder_deduction),
-        "kg/m",
-        _RULES.rudder * force,
-        f"{text}, and t_R = {_RULES.rudder_deduction:g}",
-    )
+    steering = f"{text}, and t_R = {_RULES.rudder_deduction:g}"
+    drag = force * (1 - _RULES.rudder_deduction)
+    held = [
+        _guess("rudder_drag_rudder", drag, "kg/m", _RULES.rudder * force, steering),
+        _guess(
+            "rudder_inflow_rudder",
+            drag * _RULES.straightening,
+            "kg/m",
+            _RULES.rudder * force,
+            f"{steering}, gamma_R = {_RULES.straightening:g}",
+        ),
+    ]
     none = entry_line("rudder_propeller", 0.0, "kg/m", source="a propeller is not a rudder")
-    tables += [EffectTable("rudder_force", [acting, none]), EffectTable("rudder_drag", [held])]
+    tables += [EffectTable("rudder_force", [acting, none]), EffectTable("rudder_drag", held)]
     stern = -size.length / 2
     hardware = [
         Hardware("propeller", (stern, 0.0, 0.0), (1.0, 0.0, 0.0), "at the stern, on the centre line"),
