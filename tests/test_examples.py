@@ -150,10 +150,8 @@ def test_a_doppler_log_off_the_origin_is_seen_against_position_fixes(tmp_path: P
 
 # --- the roll decay ---------------------------------------------------------------------------
 def test_vertical_sides_shorten_the_period_of_large_swings(tmp_path: Path) -> None:
-    own = ("examples/kvlcc2/wall_sided.py",)
-    stiff = vehicle_of(
-        variant("examples/kvlcc2/vehicle.toml", {"wall_sided": {"BM": 0.2}}, tmp_path / "v.toml"), own
-    )
+    sides = {"nonlinear_restoring": {"BM": 0.2}}
+    stiff = vehicle_of(variant("examples/kvlcc2/vehicle.toml", sides, tmp_path / "v.toml"))
     plain = vehicle_of("examples/kvlcc2/vehicle.toml")
     inertia = 115.7 + 20.0
     for vehicle in (plain, stiff):

@@ -36,8 +36,6 @@ class Judged:
         File names in the data folder; without a holdout, stretches of the logs are for validation.
     window : (from, to)
         Part of every log that is used, s.
-    effects : tuple of str
-        Files with effects of one's own.
     """
 
     title: str
@@ -46,7 +44,6 @@ class Judged:
     logs: tuple[str, ...]
     holdout: tuple[str, ...] = ()
     window: tuple[float | None, float | None] = (None, None)
-    effects: tuple[str, ...] = ()
 
     def words(self, command: str, *first: str) -> list[str]:
         """The command line behind `undertow`."""
@@ -55,12 +52,12 @@ class Judged:
         return [command, *first, self.vehicle, *logs, *held, *self.options()]
 
     def options(self) -> list[str]:
-        """Mapping, window and effects."""
+        """Mapping and window."""
         since, until = self.window
         found = ["--map", self.mapping]
         found += [] if since is None else ["--from", f"{since:g}"]
         found += [] if until is None else ["--to", f"{until:g}"]
-        return found + [word for file in self.effects for word in ("--effects", file)]
+        return found
 
 
 @dataclass

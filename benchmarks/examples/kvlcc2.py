@@ -22,18 +22,19 @@ Array = NDArray[np.float64]
 FOLDER = "kvlcc2-rolldecay-sspa"
 VEHICLE = "examples/kvlcc2/vehicle.toml"
 MAPPING = "examples/kvlcc2/log.toml"
-OWN = "examples/kvlcc2/wall_sided.py"
 STILL, AGAIN, UNDER_WAY = "model_test_21337.csv", "model_test_21338.csv", "model_test_21340.csv"
 WINDOW = (25.0, 91.0)
 UNDER_WAY_WINDOW = (25.0, 76.0)
+#: Righting moment of vertical sides.
+SIDES: Tables = {"nonlinear_restoring": {"BM": 0.1}}
 #: Models tried by hand: effects with start values.
 MODELS: dict[str, Tables] = {
     "linear": {},
     "linear + quadratic": {"quadratic_damping": {"K_pabsp": -10.0}},
     "linear + cubic": {"cubic_damping": {"K_ppp": -20.0}},
-    "linear, wall-sided": {"wall_sided": {"BM": 0.1}},
-    "linear + quadratic, wall-sided": {"quadratic_damping": {"K_pabsp": -10.0}, "wall_sided": {"BM": 0.1}},
-    "linear + cubic, wall-sided": {"cubic_damping": {"K_ppp": -20.0}, "wall_sided": {"BM": 0.1}},
+    "linear, wall-sided": SIDES,
+    "linear + quadratic, wall-sided": {"quadratic_damping": {"K_pabsp": -10.0}, **SIDES},
+    "linear + cubic, wall-sided": {"cubic_damping": {"K_ppp": -20.0}, **SIDES},
 }
 BEST = "linear + quadratic, wall-sided"
 HORIZON = 20.0
@@ -48,7 +49,6 @@ def judged(log: str, held: str, window: tuple[float, float] = WINDOW) -> Judged:
 ALONE = Judged("21338, validation on stretches", VEHICLE, MAPPING, (AGAIN,), (), (25.0, 190.0))
 PAIRS = (judged(AGAIN, STILL), judged(STILL, AGAIN))
 WAYS = (*PAIRS, ALONE)
-OWN_WAYS = tuple(replace(way, effects=(OWN,)) for way in WAYS)
 SPEED_WAYS = (judged(AGAIN, UNDER_WAY, UNDER_WAY_WINDOW), judged(UNDER_WAY, AGAIN, UNDER_WAY_WINDOW))
 
 
@@ -59,7 +59,7 @@ def work(call: Caller, images: Path) -> Reported:
         for name in (STILL, AGAIN, UNDER_WAY)
     }
     compared = {name[:-4]: tables.comparison_kept(call.compare(what)) for name, what in logs.items()}
-    ways = (*WAYS, *OWN_WAYS, *SPEED_WAYS)
+    ways = (*WAYS, *SPEED_WAYS)
     diagnoses = [tables.diagnosis_kept(call.diagnose(way)[0]) for way in ways]
     hand, vehicles = by_hand(call)
     pictures(call, vehicles, images)
@@ -94,7 +94,7 @@ def at_speed(call: Caller) -> list[Reported]:
 
 def _fitted(call: Caller, way: Judged, tables: Tables) -> Vehicle:
     file = variant(VEHICLE, tables, call.scratch / "variant.toml")
-    return vehicle_of(call.fit(replace(way, vehicle=str(file), effects=(OWN,)), HORIZON), (OWN,))
+    return vehicle_of(call.fit(replace(way, vehicle=str(file)), HORIZON))
 
 
 def _values(vehicle: Vehicle) -> Reported:

@@ -21,7 +21,7 @@ _SHOWN = {"K_p": "K_p [N m s]", "K_pabsp": "K_p|p| [N m s²]", "K_ppp": "K_ppp [
 
 def blocks(n: Reported) -> dict[str, str]:
     """Tables and lists of the page, from the numbers of `kvlcc2.work`."""
-    alone, own, speed = (n["diagnoses"][k : k + 3] for k in (0, 3, 6))
+    alone, speed = n["diagnoses"][:3], n["diagnoses"][3:]
     return {
         "first": first(n["by_hand"]),
         "commands": tables.commands(_commands(n), "../shared/data/kvlcc2-rolldecay-sspa"),
@@ -29,8 +29,6 @@ def blocks(n: Reported) -> dict[str, str]:
         "regimes": tables.regimes(n["compared"]["model_test_21337"]),
         "verdicts": tables.verdicts(alone),
         "diagnoses": tables.diagnoses(alone),
-        "own_verdicts": tables.verdicts(own),
-        "own_diagnoses": tables.diagnoses(own),
         "by_hand": _by_hand(n["by_hand"]),
         "truth": _truth(n["by_hand"]),
         "speed": _at_speed(n["speed"]),
@@ -42,10 +40,8 @@ def blocks(n: Reported) -> dict[str, str]:
 
 
 def _commands(n: Reported) -> list[str]:
-    rest = n["diagnoses"][3]["command"].removeprefix("undertow diagnose ")
-    by_hand = f"undertow add wall_sided {rest} --out better.toml"
-    check = "undertow effects check examples/kvlcc2/wall_sided.py"
-    return [*tables.typed(n), check, by_hand]
+    rest = n["diagnoses"][0]["command"].removeprefix("undertow diagnose ")
+    return [*tables.typed(n), f"undertow add nonlinear_restoring,quadratic_damping {rest} --out better.toml"]
 
 
 def first(rows: Sequence[Reported]) -> str:
@@ -53,7 +49,7 @@ def first(rows: Sequence[Reported]) -> str:
     before, after = (min(r["fit"] for r in rows if r["model"] == name) for name in ("linear", BEST))
     return (
         "Give this ship roll damping that grows with the rate (`quadratic_damping`) and the righting moment "
-        "of vertical sides (`wall_sided.py`): a free run of 66 s then explains at least "
+        "of vertical sides (`nonlinear_restoring`): a free run of 66 s then explains at least "
         f"{number(after)} % of the roll angle of a test that it was not fitted to, and with linear damping "
         f"alone {number(before)} %."
     )

@@ -39,10 +39,10 @@ def _entry(name: str, value: float | str) -> str:
     return f"{name} = {{ value = {value:g}, assumed = true, estimate = true }}"
 
 
-def vehicle_of(path: str | Path, effects: tuple[str, ...] = ()) -> Vehicle:
+def vehicle_of(path: str | Path) -> Vehicle:
     """A vehicle file, from the root of the repository, or a bundled vehicle."""
     file = ROOT / path
-    return load_vehicle(str(file if file.is_file() else path), effect_files=[ROOT / e for e in effects])
+    return load_vehicle(str(file if file.is_file() else path))
 
 
 def logs_of(what: Judged, data: Path, vehicle: Vehicle, *, held: bool = False) -> list[Run]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import sympy as sm
 
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import catalogue
@@ -174,3 +175,33 @@ def test_a_series_comes_close_to_the_physics_that_it_is_a_series_of(series: str,
         target = np.array([w[axis] for w in wanted])
         left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
         assert np.sum(left**2) < 0.1 * np.sum(target**2), axis
+
+
+def test_the_righting_arm_of_vertical_sides() -> None:
+    """Rawson and Tupper: GZ = (GM + BM tan^2(phi) / 2) sin(phi), against a hull of rectangular section cut by
+    its waterline: B the middle of the part under water, its moments from the corners of the section.
+    """
+    beam, draught, kg = 2.0, 0.8, 0.6
+    weight, bm = 1000 * 9.81 * beam * draught, beam**2 / (12 * draught)
+    gm = draught / 2 + bm - kg
+    box = Vehicle(
+        "barge",
+        ("roll",),
+        tuple(catalogue()[i](()) for i in ("restoring", "nonlinear_restoring")),
+        {"W": Value(weight), "B": Value(weight), "S_z": Value(gm * weight), "BM": Value(bm)},
+    )
+    phi = 0.3
+    total = sum(box.composition.wrenches.values(), start=sm.zeros(1, 1))
+    known = {symbol(n): box.value_of(n).value for n in box.parameter_names} | {symbol("phi"): phi}
+    moment = float(total[0].xreplace(known | {symbol("theta"): 0.0}))
+    # Wedges that go under and come out shift the centre of buoyancy sideways and up, from the keel's middle.
+    across, up = bm * np.tan(phi), draught / 2 + bm * np.tan(phi) ** 2 / 2
+    arm = across * np.cos(phi) + (up - kg) * np.sin(phi)
+    assert moment == pytest.approx(-weight * arm, rel=1e-12)
+
+
+def test_only_a_hull_that_floats_is_asked_for_its_waterline() -> None:
+    effect = catalogue()["nonlinear_restoring"]
+    assert effect.observable_in(("surge", "sway", "roll", "yaw"))
+    assert not effect.observable_in(("heave", "roll", "pitch"))
+    assert not effect.observable_in(("surge", "sway", "yaw"))
