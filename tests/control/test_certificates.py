@@ -116,6 +116,17 @@ def test_limits_of_the_gain_file_count_too() -> None:
     assert not judged(law(sinker(), allocation={"limits": {"f1": 5.0}})).ok
 
 
+def test_a_start_that_a_region_does_not_hold_leaves_the_region_in_the_report() -> None:
+    gains = law(sinker(40.0), "pd")
+    region, other = (
+        certify(gains, Uncertainty(gains.plant.vehicle), forms=["derived"], start=start).region
+        for start in (None, {"x": 500.0})
+    )
+    assert (region.kind, other.kind) == ("level", "level")
+    assert other.level == region.level
+    assert other.contains_start is False
+
+
 @pytest.mark.parametrize("name", first_quick(sorted(GAINS)))
 def test_within_the_region_no_command_meets_its_limit(name: str) -> None:
     """Starts on the border of what is certified: commands stay below the bounds, and all come to rest."""
@@ -171,6 +182,16 @@ def test_the_law_is_given_what_the_compass_reports(bias: float, ok: bool) -> Non
     end = ClosedLoop(gains).run(Scenario((1, 1, 0, 0), 300.0, 0.01)).result
     away = max(abs(c.final_error) for c in end.coordinates if c.name in "xy")
     assert (away < 1.0) == ok
+
+
+@pytest.mark.parametrize("name", ["pd", "pid"])
+def test_a_vehicle_at_rest_off_its_set_point_by_its_compass_is_not_certified(name: str) -> None:
+    """The law sees no error: no integral takes the 0.35 rad away."""
+    report = judged(law(with_effect(sinker(), "attitude_bias", b_psi=0.35), name))
+    assert report.full_loop is not None
+    assert report.full_loop.verdict == "off the set-point"
+    assert report.full_loop.offset["psi"] == pytest.approx(-0.35, abs=1e-9)
+    assert not report.ok
 
 
 def test_poles_turn_with_a_biased_compass() -> None:

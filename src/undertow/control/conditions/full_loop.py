@@ -218,8 +218,8 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
 
 
 def _with_offset(found: FullLoop, loop: LinearLoop) -> FullLoop:
-    """How far from its set-point the loop comes to rest: a law without integrals leaves an error."""
-    offset = loop.offset
+    """How far from its set-point the loop comes to rest: no integral, or a sensor with a constant error."""
+    offset = loop.pose_offset
     offsets = {c: v for c, v in offset.items() if abs(v) > SETTINGS.largest_offset}
     if not offsets:
         return replace(found, offset=offset)

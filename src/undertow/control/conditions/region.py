@@ -75,7 +75,18 @@ def _region(problem: Problem, holds: bool, start: Mapping[str, float] | None) ->
         found = _pd(commands)
         if found.kind != "none" and (start is None or _contains(problem, found, start)):
             return found
+        if found.kind != "none" and start is not None:
+            return _wider(problem, found, start)
     return _searched_region(problem, start)
+
+
+def _wider(problem: Problem, found: Region, start: Mapping[str, float]) -> Region:
+    """A region of a search that holds a start, or the one found, which does not, where there is none."""
+    try:
+        searched = _searched_region(problem, start)
+    except UndertowError:
+        return found
+    return found if searched.kind == "none" else searched
 
 
 def _no_region(reason: str) -> Region:
@@ -320,7 +331,7 @@ def _contains(problem: Problem, found: Region, start: Mapping[str, float]) -> bo
     if found.level is None or "K_P" not in problem.values:
         return all(e < found.errors.get(c, np.inf) for c, e in start.items())
     pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
-    return sum(0.5 * k * start.get(c, 0.0) ** 2 for c, k in pairs) < found.level * (1 - 1e-9)
+    return bool(sum(0.5 * k * start.get(c, 0.0) ** 2 for c, k in pairs) < found.level * (1 - 1e-9))
 
 
 def _unit(coordinate: str) -> str:
@@ -343,7 +354,7 @@ def _sliding(commands: Commands) -> Region:
     caps = dict.fromkeys(tilted, problem.attitudes.tilt) | {"psi": np.pi}
     largest_box = np.array([caps.get(c, np.inf) for c in problem.coordinates])
     if not len(commands.limits) and not tilted:
-        return Region("everywhere", "everywhere: S falls at any speed, from any error (except half a turn)")
+        return Region("everywhere", "everywhere: V falls at any speed, from any error (except half a turn)")
     bounds = SlidingCommands(commands)
 
     def allowed(scale: float) -> bool:

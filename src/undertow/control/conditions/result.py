@@ -222,7 +222,7 @@ class FullLoop:
     verdict: str  # "stable", "unstable", "off the set-point" or "not judged"
     pole: complex | None  # that grows fastest or decays slowest, 1/s
     text: str  # where that is, or why it was not judged
-    offset: dict[str, float] = field(default_factory=dict)  # set-point less reported pose at rest, m and rad
+    offset: dict[str, float] = field(default_factory=dict)  # true pose at rest less set-point, m and rad
     simulated: str = ""  # what simulations from starts in the region came to
 
     @property

@@ -462,17 +462,10 @@ class LinearLoop:
         return self._system.operating_point(self.trim)[0]
 
     @property
-    def offset(self) -> dict[str, float]:
-        """Steady-state error at the trim, set-point minus reported pose, m and rad: zero with integrals."""
-        return self._by_coordinate(self._reference - self.trim.y[: len(self._reference)])
-
-    @property
     def pose_offset(self) -> dict[str, float]:
         """True pose at the trim less the set-point, m and rad."""
-        return self._by_coordinate(self.trim.x[: len(self._reference)] - self._reference)
-
-    def _by_coordinate(self, pose: Array) -> dict[str, float]:
-        return dict(zip(self._system.measured, map(float, pose), strict=False))
+        offset = self.trim.x[: len(self._reference)] - self._reference
+        return dict(zip(self._system.measured, map(float, offset), strict=False))
 
     @property
     def references(self) -> list[str]:
