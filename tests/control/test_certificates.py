@@ -313,6 +313,14 @@ def test_lift_that_leaves_no_speed_worth_the_name_is_refused() -> None:
     assert not report.ok
 
 
+def test_thrusters_that_cannot_give_the_forces_of_a_law_are_refused() -> None:
+    """Six thrusters in two planes push in every axis, but not in all of them independently."""
+    vehicle = load_vehicle("bluerov2-6")
+    gains = law(vehicle, "pd", gains={"K_P": 10, "K_V": 10})
+    with pytest.raises(UndertowError, match="heave, roll, pitch, yaw independently"):
+        certify(gains)
+
+
 @pytest.mark.parametrize("name", ["pd", "pid"])
 def test_yaw_and_surge_without_sway_are_refused_in_a_line(name: str) -> None:
     """x_dot = cos(psi) u: at a quarter turn nothing moves x, and J has no inverse."""

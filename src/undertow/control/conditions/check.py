@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from undertow.control.gains import GainSet
+from undertow.control.gains import GainSet, allocation_of
 from undertow.errors import UndertowError, nearest
 from undertow.typing import Array, Flags, Progress
 
@@ -60,6 +60,7 @@ def check(
         )
     _require_start(gains, start)
     _require_motion(gains)
+    allocation_of(gains)  # refuses thrusters that cannot give the forces of the law
     uncertainty = uncertainty or Uncertainty(gains.plant.vehicle)
     full_problem = Problem(gains, tilt, _parameter_box(gains, uncertainty, uncertain))
     problem = full_problem.with_forms(forms)
