@@ -106,6 +106,16 @@ def test_a_dead_band_does_not_hide_the_trim(auv: Vehicle) -> None:
     assert controllability(linearize(sticky, trim)).missing == ("x", "y", "psi", "u", "v", "r")
 
 
+@pytest.mark.parametrize("speed", [0.2, 1.0, -0.5])
+def test_revolutions_are_found_at_which_a_propeller_balances_the_drag(speed: float) -> None:
+    """(1 - t) rho D^4 n^2 (K_T0 + K_T1 J) = |X_u|u|| u^2, J = (1 - w) u/(n D); at rest it has no slope."""
+    turns = find_trim(load_vehicle("kvlcc2"), {"u": speed}).commands["propeller"]
+    advance = (1 - 0.40) * speed / (turns * 0.216)
+    thrust = (1 - 0.22) * 1000 * 0.216**4 * turns**2 * (0.2986 - 0.3307 * advance)
+    assert turns * speed > 0
+    assert thrust == pytest.approx(35.04 * speed**2, rel=1e-6)
+
+
 def test_a_flat_part_of_a_thrust_curve_hides_no_trim_and_is_named(tmp_path: Path) -> None:
     """Thrust 4 c beyond a flat part of 0.1: at 0.5 m/s two propellers bear a drag of 16 u |u|."""
     (tmp_path / "t.csv").write_text("command,N\n-1,-4\n-0.1,0\n0,0\n0.5,2\n1,4\n")

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undertow.errors import UndertowError, refuse_unknown
+from undertow.model.effect import Propeller
 from undertow.model.symbols import FASTEST, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
@@ -74,6 +75,8 @@ class TrimSettings:
     # From which the search begins where speed and heading are to be found: m/s, degrees.
     speeds: tuple[float, ...] = (0.0, 0.5)
     headings: tuple[float, ...] = (0.0, 90.0, 180.0, -90.0)
+    # The same of propellers, revolutions a second: in their inflow they brake before they push.
+    revolutions: tuple[float, ...] = (1.0, -1.0, 10.0, -10.0, 100.0, -100.0)
     tolerance: float = 1e-9  # rates of change below this are none, SI
     rounds: int = 12  # Newton's steps, and halvings of each
     # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
@@ -408,9 +411,9 @@ def _solved(numeric: Numeric, request: Request) -> tuple[Array, Array]:
 
 
 def _beyond_dead_bands(numeric: Numeric, request: Request) -> Iterator[Array]:
-    """Commands that ideal thrusters need, then half of what commands can be, ahead and astern.
+    """Commands that ideal thrusters need, half of what they can be, either way, and turning propellers.
 
-    Dead bands and flat parts of thrust curves leave the search at rest without a direction.
+    Dead bands, flat parts of thrust curves and propellers leave the search at rest without a direction.
     """
     ideal = with_ideal_thrust(numeric.vehicle)
     if len(ideal.effects) < len(numeric.vehicle.effects):
@@ -419,6 +422,10 @@ def _beyond_dead_bands(numeric: Numeric, request: Request) -> Iterator[Array]:
     for limits in (numeric.vehicle.largest_commands, numeric.vehicle.lowest_commands):
         if limits:
             yield np.array([limits.get(name, 0.0) / 2 for name in numeric.commands])
+    thrusters = numeric.vehicle.thrusters
+    turns = {t.name: float(t.law.per_command) for t in thrusters if isinstance(t.law, Propeller)}
+    for speed in SETTINGS.revolutions if turns else ():
+        yield np.array([speed / turns[name] if name in turns else 0.0 for name in numeric.commands])
 
 
 def _through_water(numeric: Numeric, x: Array, name: str) -> float:
