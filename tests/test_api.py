@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 import undertow as ut
+from undertow.control.gains import GainTable, gains_from_table
 
+GAINS = {"schema": "undertow/gains/1", "name": "hull", "law": "pd", "gains": {"K_P": 20, "K_V": 80}}
 DOCS = Path(__file__).parents[1] / "docs"
 DEMO = Path(ut.__file__).parent / "demo_data" / "auv"
 FUNCTIONS = [
@@ -123,8 +125,39 @@ def test_logs_that_are_none_are_refused(vehicle: ut.Vehicle, given: list[ut.Run]
 
 
 def test_the_path_of_a_vehicle_is_no_vehicle(run: ut.Run) -> None:
-    with pytest.raises(ut.UndertowError, match=r"given as str: read it with undertow\.load_vehicle"):
-        ut.diagnose("vehicle.toml", [run])  # type: ignore[arg-type]
+    diagnose, check = partial(ut.diagnose, runs=[run]), partial(ut.check_gains, gains="paper-pd")
+    for call in (diagnose, check, ut.linearize, ut.compile):
+        with pytest.raises(ut.UndertowError, match=r"given as str: read it with undertow\.load_vehicle"):
+            call("vehicle.toml")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"start": {"x": "0.5 m"}}, r"start: x is given as str \('0.5 m'\): give a number in SI"),
+        ({"uncertain": {"m": "5%"}}, r"m is given as str \('5%'\): give a number"),
+        ({"covariance": (["X_u"], np.eye(2))}, r"covariance of 1 parameters has shape \(2, 2\)"),
+        ({"covariance": (["X_u"], [[np.nan]])}, "covariance of X_u is not finite"),
+        ({"covariance": (["X_u"], [[-1.0]])}, "its variance is negative"),
+    ],
+)
+def test_what_gains_cannot_be_checked_over_is_refused(options: dict[str, Any], message: str) -> None:
+    vehicle = ut.load_vehicle("box-hull")
+    gains = gains_from_table(GainTable.model_validate(GAINS), vehicle)
+    with pytest.raises(ut.UndertowError, match=message):
+        ut.check_gains(vehicle, gains, **options)
+
+
+def test_values_that_are_no_numbers_are_refused(vehicle: ut.Vehicle) -> None:
+    with pytest.raises(ut.UndertowError, match=r"u is given as str \('0.5'\): give a number in SI"):
+        ut.linearize(vehicle, {"u": "0.5"})  # type: ignore[dict-item]
+    with pytest.raises(ut.UndertowError, match="vehicle 'None' is neither a file nor a bundled vehicle"):
+        ut.load_vehicle(None)  # type: ignore[arg-type]
+    model = ut.compile(vehicle)
+    x0, u = np.zeros(len(model.states)), np.zeros((3, len(model.inputs)))
+    for start, inputs, name in ((x0 * np.nan, u, "x0"), (x0, u + np.inf, "u")):
+        with pytest.raises(ut.UndertowError, match=f"{name} holds values that are not finite"):
+            model.simulate(start, inputs, 0.1)
 
 
 def test_a_velocity_that_never_changes_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:

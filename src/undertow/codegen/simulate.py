@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from undertow.errors import UndertowError
-from undertow.model.vehicle import Vehicle
+from undertow.errors import UndertowError, require_number
+from undertow.model.vehicle import Vehicle, require_vehicle
 from undertow.notebook import html
 from undertow.typing import Array, Integers
 
@@ -388,6 +388,18 @@ def _virtual_step(functions: Functions, wrt: Sequence[int]) -> ca.Function:
 
 
 # --- what `import undertow` gives ------------------------------------------------------------------
+def _finite_array(name: str, values: ArrayLike) -> Array:
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise UndertowError(
+            f"{name} is given as {type(values).__name__}: give an array of numbers"
+        ) from error
+    if not np.isfinite(array).all():
+        raise UndertowError(f"{name} holds values that are not finite: fill or drop the missing ones")
+    return array
+
+
 class Model:
     """A vehicle whose equations are ready to run.
 
@@ -398,6 +410,7 @@ class Model:
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
+        require_vehicle(vehicle)
         self.vehicle = vehicle
         self._functions = Functions(vehicle)
         self._simulator = Simulator(self._functions)
@@ -432,13 +445,14 @@ class Model:
         Raises
         ------
         UndertowError
-            If a shape does not fit, or dt is not positive.
+            If a shape does not fit, a value is not finite, or dt is not positive.
         """
+        require_number("dt", dt)
         if not (np.isfinite(dt) and dt > 0):
             raise UndertowError(f"dt = {dt:g} s cannot be the time between samples: give a positive one")
-        inputs = np.asarray(u, dtype=float)
+        start, inputs = (_finite_array(name, value) for name, value in (("x0", x0), ("u", u)))
         p = np.array(self._functions.values(), dtype=float)
-        return self._simulator.run(np.asarray(x0, dtype=float), dt * np.arange(float(len(inputs))), inputs, p)
+        return self._simulator.run(start, dt * np.arange(float(len(inputs))), inputs, p)
 
     def __repr__(self) -> str:
         return (

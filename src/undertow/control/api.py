@@ -7,7 +7,7 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Vehicle, require_vehicle
 from undertow.observer.design import load_observer
 from undertow.typing import Progress
 
@@ -80,6 +80,7 @@ def check_gains(
     >>> ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid").conditions_hold
     False
     """
+    require_vehicle(vehicle)
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
     uncertainty = Uncertainty(vehicle, confidence, covariance)
     options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start, "uncertain": uncertain}
@@ -124,5 +125,6 @@ def linearize(
     """
     from .linear import systems  # brings python-control
 
+    require_vehicle(vehicle)
     held = {"u": 0.0, "v": 0.0, "w": 0.0} if at is None else at
     return systems.linearize(vehicle, held, pade=pade, dt=dt)

@@ -599,7 +599,7 @@ def _shown(value: object) -> str:
 
 def file_or_bundled(source: str | Path, bundled: Mapping[str, Path], otherwise: str) -> Path:
     """A file, or a bundled one by its name; `otherwise` says what is wrong with any other source."""
-    path = Path(source)
+    path = Path(str(source))
     if is_file(path):
         return path
     if str(source) in bundled:

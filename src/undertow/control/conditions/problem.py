@@ -543,6 +543,25 @@ class RobustVerdict:
     counterexample: dict[str, float]  # values that it fails with, SI, in the signs of the vehicle file
 
 
+def _require_covariance(names: Sequence[str], matrix: Array) -> None:
+    size = len(names)
+    if matrix.shape != (size, size):
+        raise UndertowError(
+            f"the covariance of {size} parameters has shape {matrix.shape}: give ({size}, {size})"
+        )
+    wrong = [
+        n for n, row, own in zip(names, matrix, np.diag(matrix), strict=True) if not _is_spread(row, own)
+    ]
+    if wrong:
+        raise UndertowError(
+            f"the covariance of {wrong[0]} is not finite, or its variance is negative: correct the matrix"
+        )
+
+
+def _is_spread(row: Array, variance: float) -> bool:
+    return bool(np.isfinite(row).all() and variance >= 0)
+
+
 class Uncertainty:
     """Uncertainty of the parameters of a vehicle.
 
@@ -561,6 +580,8 @@ class Uncertainty:
             )
         self.vehicle, self.confidence = vehicle, confidence
         self._names, self._matrix = list(covariance[0]), np.array(covariance[1], dtype=float)
+        if self._names:
+            _require_covariance(self._names, self._matrix)
 
     @property
     def source(self) -> str:

@@ -14,7 +14,7 @@ from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.opening import check_fit
 from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Vehicle, require_vehicle
 
 from .settings import DEFAULT, Settings
 
@@ -64,10 +64,7 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
     UndertowError
         If the vehicle is not a Vehicle, there is no run, or something else is among them.
     """
-    if not isinstance(vehicle, Vehicle):
-        raise UndertowError(
-            f"the vehicle is given as {type(vehicle).__name__}: read it with undertow.load_vehicle first"
-        )
+    require_vehicle(vehicle)
     train, test = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
     if not train:
         raise UndertowError("there is no training log: give at least one run (undertow.read_log)")
