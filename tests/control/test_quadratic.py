@@ -273,3 +273,19 @@ def test_thrusters_that_push_and_turn_either_way_both_have_room_left() -> None:
     assert found is not None
     assert found.start > 2 * SETTINGS.lowest_start_level
     assert list(program.command_changes(found)) == pytest.approx([0.2 * (1 - SETTINGS.slack)] * 2, rel=2e-3)
+
+
+def test_v_falls_for_the_error_that_is_set_point_less_pose_as_the_documents_say() -> None:
+    """M u_dot = K_P e + K_I z - (K_V + d) u of surge alone; with the pose less the set-point V would rise."""
+    table = {"schema": "undertow/gains/1", "name": "hull", "law": "pid"}
+    table |= {"gains": {"K_P": {"x": 20.0}, "K_V": {"x": 80.0}, "K_I": {"x": 1.0}}}
+    gains = gains_from_table(GainTable.model_validate(table), load_vehicle("box-hull"))
+    found = region(Problem(gains), True).quadratic
+    assert found is not None
+    values = {name: load_vehicle("box-hull").value_of(name).value for name in ("m", "X_udot", "X_u")}
+    M, K = values["m"] - values["X_udot"], 80.0 - values["X_u"]
+    A = np.array([[0, 1, 0], [0, 0, -1], [1.0 / M, 20.0 / M, -K / M]])  # of (integral, error, u), near rest
+    rate = found.P[0] @ A + A.T @ found.P[0]
+    assert np.linalg.eigvalsh(rate).max() < 0
+    turned = np.diag([-1, -1, 1]) @ found.P[0] @ np.diag([-1, -1, 1])
+    assert np.linalg.eigvalsh(turned @ A + A.T @ turned).max() > 0

@@ -116,8 +116,9 @@ class Command:
 class Quadratic:
     """V = z' P z with z = (integral, error, velocity), proved to fall where it is below one.
 
-    The error and its integral stand in a frame turned by G, E = G' error, and so does the velocity of the
-    translations, w = diag(G' R, I) nu with R from body to earth. PD control has no integral.
+    The error (set-point less pose) and its integral stand in a frame turned by G, E = G' error, and so does
+    the velocity of the translations, w = diag(G' R, I) nu with R from body to earth. PD control has no
+    integral.
     """
 
     # By range of headings of the set-point, which share a turn equally from north on; one where the heading
