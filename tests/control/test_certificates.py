@@ -321,6 +321,11 @@ def test_thrusters_that_cannot_give_the_forces_of_a_law_are_refused() -> None:
         certify(gains)
 
 
+def test_damping_that_no_certificate_covers_is_named_by_its_axis() -> None:
+    gains = law(load_vehicle("cybership2"), gains={"K_P": 6.0, "K_V": 25.0, "K_I": 0.3})
+    assert "damping of surge grows faster" in judged(gains).region.text  # X_uuu
+
+
 @pytest.mark.parametrize("name", ["pd", "pid"])
 def test_yaw_and_surge_without_sway_are_refused_in_a_line(name: str) -> None:
     """x_dot = cos(psi) u: at a quarter turn nothing moves x, and J has no inverse."""

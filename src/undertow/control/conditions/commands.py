@@ -289,7 +289,8 @@ def terms_of(plant: Plant, matrix: sm.Matrix, box: ParameterBox = EXACT_PARAMETE
     moving, found = numeric_matrix(plant, matrix, box).applyfunc(sm.expand), []
     for i, j in product(range(len(plant.nu)), repeat=2):
         if not moving[i, j].is_polynomial(*symbols) or moving[i, j].free_symbols - set(symbols):
-            raise UndertowError("damping is no polynomial in velocities and their magnitudes")
+            dof = plant.vehicle.degrees_of_freedom[i]
+            raise UndertowError(f"damping of {dof} is no polynomial in velocities and their magnitudes")
         terms = sm.Poly(moving[i, j], *symbols).terms()
         found += [Term(i, j, powers, float(value)) for powers, value in terms if value]
     return found

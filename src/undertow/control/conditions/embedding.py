@@ -437,9 +437,11 @@ def _columns(rows: Array | Interval) -> list[Interval]:
 def motion_terms(plant: Plant, box: ParameterBox = EXACT_PARAMETERS) -> list[Term]:
     """C + D as a sum of products: of numbers, and of one velocity or its magnitude at most; else refused."""
     found = terms_of(plant, plant.C + plant.D, box)
-    if any(sum(term.powers[: 2 * len(plant.nu)]) > 1 for term in found):
+    steep = [term for term in found if sum(term.powers[: 2 * len(plant.nu)]) > 1]
+    if steep:
+        dof = plant.vehicle.degrees_of_freedom[steep[0].row]
         raise UndertowError(
-            "damping grows faster than in proportion to a velocity: no certificate is searched for"
+            f"damping of {dof} grows faster than in proportion to a velocity: no certificate is searched for"
         )
     return found
 
