@@ -321,6 +321,21 @@ def test_thrusters_that_cannot_give_the_forces_of_a_law_are_refused() -> None:
         certify(gains)
 
 
+@pytest.mark.parametrize(("psi", "held"), [(0.25, False), (0.01, True)])
+def test_a_start_beyond_the_gate_is_not_certified(psi: float, held: bool) -> None:
+    """Until the heading is within its gate nothing holds the vehicle against a steady push of 3 N."""
+    vehicle = with_effect(load_vehicle("cybership2"), "constant_force", X_0=3.0)
+    vehicle = replace(vehicle, effects=tuple(e for e in vehicle.effects if e.id != "cubic_damping"))
+    table = {"K_P": {"x": 6, "y": 8, "psi": 0.7}, "K_V": {"x": 26, "y": 34, "psi": 2.8}}
+    table |= {"K_I": {"x": 0.3, "y": 0.4, "psi": 0.035}}
+    gains = law(vehicle, gains=table, schedule={"order": "yaw-first"})
+    start = {"x": 0.1, "psi": psi}
+    report = certify(gains, Uncertainty(vehicle), forms=["derived"], start=start)
+    assert (report.region.kind, report.region.contains_start, report.ok) == ("level", held, held)
+    run = ClosedLoop(gains).run(Scenario((0, 0, 0), 60.0, 0.02, start=(0.1, 0, psi)))
+    assert (np.abs(run.state["y"]).max() < report.region.errors["y"]) == held
+
+
 def test_damping_that_no_certificate_covers_is_named_by_its_axis() -> None:
     gains = law(load_vehicle("cybership2"), gains={"K_P": 6.0, "K_V": 25.0, "K_I": 0.3})
     assert "damping of surge grows faster" in judged(gains).region.text  # X_uuu

@@ -16,7 +16,7 @@ from undertow.control.conditions.channels import coupled, coupled_roots, zero_dy
 from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty
 from undertow.control.conditions.region import region
-from undertow.control.gains import GainSet, GainTable, gains_from_table, load_gains
+from undertow.control.gains import GainSet, GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.control.laws import LawSignals
 from undertow.control.linear.systems import close_loop
 from undertow.control.plant import Plant
@@ -87,11 +87,11 @@ def test_correlation_of_a_fit_counts() -> None:
 
 # --- region, coupled axes ---------------------------------------------------------------------------
 def thick_water(gains: dict[str, float], drag: float) -> Problem:
-    """PID gains on the mini-AUV with this quadratic damping of surge, kg/m."""
+    """PID gains on the mini-AUV with this quadratic damping of surge, kg/m, all axes driven together."""
     vehicle = load_vehicle("mini-auv")
     changed = {f"X_uabsu_{way}": Value(-drag) for way in ("forward", "backward")}
     found = load_gains("paper-pid", vehicle.with_values(changed))
-    return Problem(replace(found, values={**found.values, **gains}))
+    return Problem(replace(found, values={**found.values, **gains}, schedule=ScheduleTable()))
 
 
 STRONG = {

@@ -11,6 +11,7 @@ import sympy as sm
 
 from undertow.errors import UndertowError
 from undertow.model.parameter import printed
+from undertow.model.units import si_of
 from undertow.typing import Array
 
 from .attitude import ANGLES
@@ -51,7 +52,8 @@ def region(problem: Problem, holds: bool, start: Mapping[str, float] | None = No
         declared = vehicle.declaration(str(symbol))
         low, high = sorted(printed(declared, e, vehicle.signs) for e in ends)
         parameters[str(symbol)] = low, high
-    found = replace(found, parameters=parameters)
+    note = "" if found.kind == "none" else _gate_note(problem)
+    found = replace(found, text=found.text + note, parameters=parameters)
     if start is None:
         return found
     return replace(found, start=dict(start), contains_start=_contains(problem, found, start))
@@ -198,7 +200,7 @@ def _region_or_none(problem: Problem, found: Region) -> Region:
             f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}; below "
             f"{SETTINGS.smallest_error:g} it does not count as a region"
         )
-    return replace(found, starts=dict(starts), text=found.text + _gate_note(problem))
+    return replace(found, starts=dict(starts))
 
 
 def _starts(problem: Problem, level: float) -> dict[str, float]:
@@ -303,7 +305,7 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     )
     region = Region(
         "level",
-        text + _gate_note(problem),
+        text,
         1.0,
         _by_coordinate(problem, found.errors),
         _by_velocity(problem, found.speeds),
@@ -314,14 +316,25 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
     return region
 
 
+def _gate(problem: Problem) -> float:
+    """Error of the heading beyond which x and y wait, rad; infinite where all are driven together."""
+    schedule = problem.gains.schedule
+    return si_of("[schedule] gate", schedule.gate, "rad") if schedule.order == "yaw-first" else np.inf
+
+
 def _gate_note(problem: Problem) -> str:
-    gated = problem.gains.schedule.order == "yaw-first"
-    return "; counted from when the heading has come within its gate" if gated else ""
+    gate = _gate(problem)
+    if gate == np.inf:
+        return ""
+    return (
+        f"; counted from when the heading has come within its gate of {np.degrees(gate):.4g} deg, before "
+        "which nothing controls x and y"
+    )
 
 
 def _contains(problem: Problem, found: Region, start: Mapping[str, float]) -> bool:
     """Whether a region holds every corner of a box of errors, at rest and with integrals at zero."""
-    if found.kind == "none":
+    if found.kind == "none" or start.get("psi", 0.0) > _gate(problem):
         return False
     if found.by_search:
         return True  # it was searched for so
