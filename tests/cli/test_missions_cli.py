@@ -60,6 +60,13 @@ def test_a_mission_is_simulated_and_told(here: Path, capsys: Capture) -> None:
     assert Path("log.csv").read_text().startswith("t,x,y,psi,u,v,r,")
 
 
+def test_legs_within_the_acceptance_are_said_to_be_none(here: Path, capsys: Capture) -> None:
+    """A way of sqrt(5) m, and an acceptance of 3 m: the mission ends before it begins."""
+    Path("near.toml").write_text(MISSION.format(kind="legs", x="1 m"))
+    assert main(["simulate", "cybership2", "g.toml", "--path", "near.toml", "--dt", "0.05"]) == 0
+    assert "reached at the start: the way is shorter than [guidance] acceptance" in capsys.readouterr().out
+
+
 def test_the_conditions_on_a_mission_are_reported(here: Path, capsys: Capture) -> None:
     # Cubic drag in surge is straight in u^2, whose ends are known.
     assert main(["gains", "cybership2", "g.toml", "--path", "m.toml"]) == 0

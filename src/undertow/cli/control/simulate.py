@@ -301,7 +301,9 @@ def _facts(result: LoopResult) -> Iterator[str]:
         if arrived is not None:
             end = f"reached after {arrived:.4g} s"
             by_sight = any(e.name == "cross track" for e in result.followed.errors)
-            if by_sight and math.ceil(arrived) < result.duration:
+            if by_sight and arrived == 0.0:
+                end = "reached at the start: the way is shorter than [guidance] acceptance"
+            elif by_sight and math.ceil(arrived) < result.duration:
                 end += f", but not held: --for {math.ceil(arrived)} leaves out what comes after"
         yield f"mission '{result.followed.mission}' ({result.followed.kind}): its end is {end}"
     if result.divergence is not None:
