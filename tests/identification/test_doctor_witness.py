@@ -29,7 +29,12 @@ from undertow.identification.doctor.dynamics import (
 )
 from undertow.identification.doctor.examine import Examined, examine
 from undertow.identification.doctor.kinematics import Kinematics
-from undertow.identification.doctor.mistakes import in_degrees, with_channels, wrapped_angles
+from undertow.identification.doctor.mistakes import (
+    in_degrees,
+    reading_mistakes,
+    with_channels,
+    wrapped_angles,
+)
 from undertow.identification.doctor.signs import SignEvidence, _remaining
 from undertow.identification.findings import Examination, Finding
 from undertow.identification.logs.mapping import LogMapping, edited
@@ -385,3 +390,16 @@ def test_a_mistake_is_refuted_by_a_model_that_leaves_only_noise() -> None:
     right = wrong.model_copy(update={"evidence": {"surge": 300.0, "surge_undone": 1.1}})
     seen = examined.model_copy(update={"findings": [wrong, right]})
     assert without_refuted(seen).mistakes == [right]
+
+
+@pytest.mark.parametrize(("pitch", "offered"), [(0.02, True), (0.5, False)])
+def test_radians_beyond_upright_are_not_offered(pitch: float, offered: bool) -> None:
+    """Pitch of up to 29 degrees cannot be one of 29 rad; of up to 1.1 degrees it may be 1.1 rad."""
+    t = np.arange(0.0, 60.0, 0.5)
+    run = Run("dive", t, {"z": t, "theta": pitch * np.sin(t), "psi": 0.1 * np.sin(t)})
+    mapping = LogMapping.model_validate(
+        {"columns": {n: {"channel": n, "unit": "deg"} for n in ("theta", "psi")}}
+    )
+    known = [m for m in reading_mistakes(mapping, [run]) if m.id == "radians_for_degrees"]
+    assert any("theta" in m.clause for m in known) == offered
+    assert any(m.clause.startswith("psi is") for m in known)

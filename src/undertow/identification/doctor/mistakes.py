@@ -317,13 +317,25 @@ _UPWARDS = {"z": "z is positive upwards (height; undertow's z is depth)"}
 def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
     """All of them, the likelier ones first, as far as channels that move can show them.
 
-    Left out are mistakes without which a log would lack a channel that it has, as one with x but no y.
+    Left out are mistakes without which a log would lack a channel that it has, as one with x but no y, and
+    radians in which no vehicle can have the angles that were logged.
     """
     moving = {n for n in (*POSE, *VELOCITY) if measured(runs, n) and changes(runs, n)}
     # North taken for east leaves no north where only one of them was logged: that cannot be tried.
     few = [run.head(2) for run in runs]
     known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
-    return [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
+    complete = [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
+    return [m for m in complete if m.id != "radians_for_degrees" or not _upside_down(m, runs)]
+
+
+def _upside_down(mistake: Mistake, runs: Sequence[Run]) -> bool:
+    """Whether the vehicle pitches beyond upright once a mistake is undone."""
+    return any(_tilted(_present_angles(mistake.undo(run), "theta")) for run in runs)
+
+
+def _tilted(pitch: Array) -> bool:
+    """Whether pitch is too large to be in radians."""
+    return bool(len(pitch) and np.mean(np.abs(pitch) > PLAUSIBLE.pitch) > PLAUSIBLE.pitch_share)
 
 
 # --- units ------------------------------------------------------------------------------------
@@ -530,7 +542,7 @@ def wrapped_angles(runs: Sequence[Run]) -> Iterator[Explanation]:
 def in_degrees(runs: Sequence[Run], mapping: LogMapping, names: Sequence[str]) -> Explanation | None:
     """Pitch that is too large, or a heading that turns too fast, to be in radians."""
     pitch = [_present_angles(run, "theta") for run in runs if "theta" in names]
-    tilted = any(len(p) and np.mean(np.abs(p) > PLAUSIBLE.pitch) > PLAUSIBLE.pitch_share for p in pitch)
+    tilted = any(_tilted(p) for p in pitch)
     turn = max((_turned_in_a_second(run) for run in runs if "psi" in names), default=0.0)
     if not tilted and turn < JUMPS.fastest:
         return None
