@@ -7,7 +7,7 @@ import pytest
 
 from tests.identification.logs_of import run_of
 from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.jumps import position_jumps
+from undertow.identification.doctor.jumps import position_jumps, shifts_at_ease
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.model.loading import load_vehicle
 
@@ -48,3 +48,20 @@ def test_velocities_from_the_pose_are_free_of_jumps() -> None:
     pose = {n: c for n, c in columns.items() if n not in ("u", "v", "r")}
     run = velocities_from_pose(run_of("log", pose), DOFS)
     assert not list(position_jumps(load_vehicle("otter"), [run]))
+
+
+@pytest.mark.parametrize(("step", "found"), [(10.0, ["theta"]), (0.02, [])])
+def test_steps_that_a_vehicle_may_have_moved_are_no_sure_shifts_of_the_origin(
+    step: float, found: list[str]
+) -> None:
+    """A glider that is logged every 10 s pitches by 30 degrees from one sample to the next."""
+    t = step * np.arange(300)
+    pitch = 0.25 * np.sign(np.sin(2.0 * np.pi * (np.arange(300) + 0.5) / 100.0))
+    noise = np.random.default_rng(2).standard_normal((2, 300))
+    pose = {"z": 0.1 * t + 0.01 * noise[0], "theta": pitch + 0.001 * noise[1]}
+    run = velocities_from_pose(run_of("dive", {"t": t, **pose}), ("heave", "pitch"))
+    assert len(run.shifts["theta"]) == 5
+    np.testing.assert_allclose(run.shifts["theta"], np.tile([0.5, step], (5, 1)), atol=0.01)
+    findings = list(shifts_at_ease(load_vehicle("glider"), [run]))
+    assert [f.text.split()[1] for f in findings] == found
+    assert all("theta changes 5 times by up to 0.5 rad" in f.text for f in findings)

@@ -27,7 +27,7 @@ from .compass import deviation
 from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
 from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings, heading_off
-from .jumps import position_jumps
+from .jumps import position_jumps, shifts_at_ease
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
@@ -369,6 +369,7 @@ class _Examiner:
         self.findings += heading_findings(self.vehicle, self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
         self.findings += position_jumps(self.vehicle, self.runs)
+        self.findings += shifts_at_ease(self.vehicle, self.runs)
         self._undo_deviation()
         kinematics = self.kinematics
         if kinematics:

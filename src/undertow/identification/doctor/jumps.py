@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from undertow.identification.findings import Finding
-from undertow.identification.logs.run import Run
+from undertow.identification.logs.run import UNITS, Run
+from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -23,6 +24,10 @@ class JumpSettings:
     # of 100,000 changes by noise the largest has four.
     outlying: float = 8.0
     fewest: int = 3  # of them in a log from which they are reported: a reset or two is cut out by hand
+    # Acceleration, in g, below which a vehicle may have moved what was taken for a shift of the origin, from
+    # rest to rest: a change of cameras by 5 cm in 20 ms needs 50, one of satellites by 0.5 m in 1 s 0.2; a
+    # glider that is logged every 10 s and pitches by 30 degrees in between 0.001.
+    at_ease: float = 0.1
 
 
 SETTINGS = JumpSettings()
@@ -50,6 +55,35 @@ def position_jumps(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         + (f"; {others} more of the logs {'has' if others == 1 else 'have'} such jumps" if others else ""),
         evidence={"count": float(count), "largest": largest, "limit": limit},
     )
+
+
+def shifts_at_ease(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Steps of a pose that were taken for shifts of its origin, and that its vehicle may have moved."""
+    size = size_of(vehicle)
+    if size is None:
+        return
+    found = [(run, n, s) for run in runs for n in run.shifts if len(s := _at_ease(vehicle, run, n, size))]
+    for name in dict.fromkeys(n for _, n, s in found if len(s) >= SETTINGS.fewest):
+        run, _, steps = max((f for f in found if f[1] == name), key=lambda f: len(f[2]))
+        velocity, (largest, step) = VELOCITY[POSE.index(name)], steps[np.argmax(steps[:, 0])]
+        yield Finding(
+            id="shifts_at_ease",
+            severity="warning",
+            text=f"{run.name}: {name} changes {len(steps)} times by up to {largest:.2g} {UNITS[name]} from "
+            f"one sample to the next ({step:.3g} s), too suddenly for the samples around it: they count "
+            f"as shifts of its origin, and {velocity} has nothing of them; but a vehicle of "
+            f"{vehicle.values['m'].value:.4g} kg can move so fast: if it did, map a measured {velocity}, or "
+            "log faster",
+            evidence={"count": float(len(steps)), "largest": float(largest), "step": float(step)},
+        )
+
+
+def _at_ease(vehicle: Vehicle, run: Run, name: str, size: float) -> Array:
+    """Shifts of a pose that need little acceleration from rest to rest, (k, 2)."""
+    shifts = run.shifts[name]
+    lever = 1.0 if name in ("x", "y", "z") else size
+    needed = 4.0 * lever * shifts[:, 0] / shifts[:, 1] ** 2
+    return shifts[needed < SETTINGS.at_ease * vehicle.environment["g"]]
 
 
 def _jumps(run: Run, limit: float) -> Array:

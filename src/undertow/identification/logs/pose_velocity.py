@@ -213,6 +213,12 @@ class Track:
     # resolution)^6).
     resolution: float
 
+    def shifts(self, t: Array, reports: Array) -> Array:
+        """Size of every shift, and the seconds since the report before, (k, 2)."""
+        at, seen = np.flatnonzero(self.jump), np.flatnonzero(np.isfinite(reports))
+        before = seen[np.maximum(np.searchsorted(seen, at) - 1, 0)]
+        return np.column_stack([np.abs(self.value[at] - self.value[at - 1]), t[at] - t[before]])
+
 
 @dataclass
 class _Signal:
@@ -425,6 +431,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
         sigma={**run.sigma, **sigma},
         derived=run.derived | set(lacking),
         outliers={name: int(one.outlier.sum()) for name, one in tracks.items()},
+        shifts={name: one.shifts(run.t, run.reports(name)) for name, one in tracks.items() if one.jump.any()},
         resolution=max((tracks[n].resolution for n in tracks if _moves(run.channels[n])), default=0.0),
     ).with_notes(
         f"velocities from pose {', '.join(tracks)} by a Kalman smoother: {accuracy} (median)",
@@ -460,7 +467,8 @@ def _tracked(run: Run, name: str) -> Track:
     if count < SETTINGS.fewest:
         raise UndertowError(
             f"run {run.name!r}: channel {name!r} has {count} samples, at least {SETTINGS.fewest} are needed "
-            "to derive a velocity from it: give a longer log"
+            f"to derive a velocity from it: give a longer log, map a measured velocity, or leave {name} out, "
+            "with the motion that needs it (degrees_of_freedom in the vehicle file)"
         )
     try:
         return track(run.t, reports)
@@ -505,9 +513,11 @@ def _note(run: Run, name: str, one: Track) -> str:
     if one.outlier.any():
         parts.append(f"{one.outlier.sum()} outliers dropped ({_times(run.t[one.outlier])})")
     if one.jump.any():
-        at = np.flatnonzero(one.jump)
-        largest = np.nanmax(np.abs(one.value[at] - one.value[at - 1]))
-        parts.append(f"{len(at)} shifts of up to {largest:.2g} {UNITS[name]} bridged ({_times(run.t[at])})")
+        sizes = one.shifts(run.t, run.reports(name))[:, 0]
+        parts.append(
+            f"{len(sizes)} shifts of up to {np.nanmax(sizes):.2g} {UNITS[name]} bridged "
+            f"({_times(run.t[one.jump])})"
+        )
     if one.lost:
         spells = ", ".join(f"{start:g}-{stop:g}" for start, stop in one.lost)
         parts.append(f"not tracked for more than {SETTINGS.lost:g} s at t = {spells} s, no velocity there")

@@ -83,6 +83,9 @@ class Run:
         Name of the run that this is a segment of; empty for a whole run.
     outliers : dict of int
         Samples of the pose that were removed because the others contradict them.
+    shifts : dict of (k, 2) arrays
+        Steps of the pose that were taken for shifts of its origin: their size, and the seconds since the
+        sample before.
     dropped : int
         Rows of the file that were left out because their time was not later than that of an earlier row.
     """
@@ -99,6 +102,7 @@ class Run:
     mapping: LogMapping | None = None
     wrapped: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     outliers: Mapping[str, int] = field(default_factory=dict)
+    shifts: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     dropped: int = 0
     part_of: str = ""
     reported: Mapping[str, Flags] = field(default_factory=dict)
