@@ -266,3 +266,18 @@ def test_hdf5_is_told_by_what_is_in_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("write", _WRITERS)
 def test_files_that_are_cut_off_are_read_or_refused_in_a_line(tmp_path: Path, write: Write) -> None:
     cut_off(write(tmp_path / "dive.mat", dive()), read_log)
+
+
+@pytest.mark.parametrize("as_cells", [True, False])
+def test_dates_as_texts_are_the_time(tmp_path: Path, as_cells: bool) -> None:
+    texts = np.array([f"2015-10-30 17:{k // 60:02}:{k % 60:02}" for k in range(90)])
+    stamps = texts.astype(object)[:, None] if as_cells else texts
+    log = read_field_log(_written(tmp_path, {"gps_time": stamps, "heading": np.arange(90.0)}))
+    (series,) = log.series.values()
+    np.testing.assert_allclose(series.t - series.t[0], np.arange(90.0))
+
+
+def test_times_as_texts_that_are_no_dates_are_named(tmp_path: Path) -> None:
+    stamps = np.array(["1969-11-31 17:00:37"] * 50, dtype=object)[:, None]  # November has no 31st
+    with pytest.raises(UndertowError, match="gps_time holds texts that are no dates"):
+        read_field_log(_written(tmp_path, {"gps_time": stamps, "heading": np.arange(50.0)}))

@@ -11,15 +11,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS
+from undertow.identification.logs.table import has_dates, seconds
 from undertow.typing import Array
 
 from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns
@@ -58,6 +61,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
         if cells:
             name = max(cells, key=lambda n: cells[n])
             notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
+        texts = [n for n, v in content.items() if is_time(n) and isinstance(v, list) and n not in cells]
+        notes += [f"{n} holds texts that are no dates: save it as numbers, in s" for n in texts]
         what = f" {notes[0]}" if notes else ""
         names = ", ".join(content) or "nothing"
         raise UndertowError(
@@ -97,15 +102,28 @@ def _to_python(value: Any, name: str, objects: list[str]) -> Any:
     label = name if value.size == 1 else f"{name}({{}})"
     if value.dtype.names:
         fields = value.dtype.names
-        found = [
+        found: list[Any] = [
             {f: _to_python(e, f"{label.format(k)}.{f}", objects) for f, e in zip(fields, one, strict=True)}
             for k, one in enumerate(cells, 1)
         ]
     elif value.dtype.kind == "O":
         found = [_to_python(one, label.format(k), objects) for k, one in enumerate(cells, 1)]
     else:
-        return np.squeeze(value)
-    return found[0] if len(found) == 1 else found
+        found = [*cells] if value.dtype.kind == "U" else [np.squeeze(value)]
+    dates = _in_seconds_since_1970(name.rsplit(".", 1)[-1], found)
+    return dates if dates is not None else found[0] if len(found) == 1 else found
+
+
+def _in_seconds_since_1970(name: str, cells: Sequence[Any]) -> Array | None:
+    """Dates with the time of day, as texts, by a name for times; None for others."""
+    texts = [str(cell) for cell in cells if np.ndim(cell) == 0 and np.asarray(cell).dtype.kind == "U"]
+    if len(texts) != len(cells) or len(texts) < 2 or not is_time(name):
+        return None
+    stamps = pl.DataFrame({name: texts})
+    try:
+        return seconds(stamps, name, name, Decimal(0))[0] if has_dates(stamps[name]) else None
+    except UndertowError:  # the log may have another time
+        return None
 
 
 def _members(frame: Any) -> dict[str, Any]:
