@@ -360,3 +360,13 @@ def test_a_rudder_without_force_at_rest_has_no_range_of_commanded_force() -> Non
     thrusters = tuple(replace(t, thrust_per_command=Value(0.0)) for t in vehicle.thrusters)
     rows = excitation(replace(vehicle, thrusters=thrusters), runs)
     assert [row.command_range for row in rows] == [None] * len(rows)
+
+
+def test_logs_too_short_for_a_fit_are_told_before_one_is_tried() -> None:
+    case = make_case("mini-auv", (), 6, duration=20.0, runs=("multisine",))
+    vehicle, (run,) = vehicle_of(case), runs_of(case)
+    findings = {n: examine(vehicle, [run.head(n)]).result.findings for n in (12, len(run.t))}
+    said = {n: [f.text for f in found if f.id == "not_fitted"] for n, found in findings.items()}
+    assert not said[len(run.t)]
+    (text,) = said[12]
+    assert "commands were not checked: too few samples without a gap" in text

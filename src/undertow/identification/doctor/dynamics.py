@@ -298,6 +298,15 @@ def dynamics_of(vehicle: Vehicle, runs: Sequence[Run]) -> Dynamics | None:
     return Dynamics(vehicle, parts, data, fit, normalised_mean_square(fit)[: len(vehicle.dof_indices)])
 
 
+def not_fitted(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Why a model cannot be fitted to logs, if it cannot."""
+    try:
+        prepare(runs, vehicle)
+    except UndertowError as error:
+        text = f"no model can be fitted to these logs, and commands were not checked: {error}"
+        yield Finding(id="not_fitted", severity="warning", text=text)
+
+
 def most_active_part(run: Run, vehicle: Vehicle, most: int) -> Run:
     """The `most` samples in a row of a run in which the vehicle moves most."""
     piece = most_active(run, vehicle.velocity_names, most)

@@ -24,7 +24,15 @@ from undertow.version import __version__
 from . import mistakes, sensors
 from .clocks import causal, clock_findings, command_clock, delay_edits, latencies, without_latencies
 from .compass import deviation
-from .dynamics import Dynamics, dynamic_mistakes, dynamics_of, other_mass, rederived, wiring_mistakes
+from .dynamics import (
+    Dynamics,
+    dynamic_mistakes,
+    dynamics_of,
+    not_fitted,
+    other_mass,
+    rederived,
+    wiring_mistakes,
+)
 from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings, heading_off
 from .jumps import position_jumps, shifts_at_ease
@@ -321,7 +329,9 @@ class _Examiner:
             doubtful = doubtful_unit(self.vehicle, self.runs, self.mapping, self.kinematics)
             if doubtful is not None:
                 self._doubt(doubtful, [*(r.clause for r in doubtful.rivals), _WEAK_THRUSTERS])
-        if at is not None:
+        if at is None:
+            self.findings += not_fitted(self.vehicle, self.runs)
+        else:
             self._check_vehicle_file(at)
 
     def _other_explanations(self, at: Dynamics, mistake: Mistake) -> list[str]:
