@@ -16,7 +16,8 @@ from undertow.identification.logs.guess_frames import Guess, GuessedMapping
 from undertow.identification.logs.guess_names import Name
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import read_log
-from undertow.model.loading import load_vehicle
+from undertow.model.catalogue import catalogue
+from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 
 from .bad import SURGE, text_of
 
@@ -414,7 +415,7 @@ def test_a_time_of_day_to_the_second_is_a_clock_with_repeats(tmp_path: Path) -> 
     table.write_csv(tmp_path / "own.csv")
     found = guess_mapping(tmp_path / "own.csv")
     assert found.time.entry == {"column": "Time", "unit": "iso", "disorder": "drop"}
-    assert found.time.doubt == "75.00% of the rows are not later than an earlier one: leave them out?"
+    assert found.time.doubt.startswith("75% of its times repeat the one before: it has too few digits")
     (tmp_path / "log.toml").write_text(found.text())
     run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
     np.testing.assert_allclose(run.t, np.arange(100.0))
@@ -1053,3 +1054,42 @@ def test_derivatives_by_time_are_velocities_of_the_pose_and_no_velocities_of_vel
 ) -> None:
     name = Name.of(column)
     assert (name.motion(), name.along_earth) == (channel, along_earth)
+
+
+def test_a_clock_in_whole_seconds_with_gaps_is_read_by_the_first_row_of_each(tmp_path: Path) -> None:
+    t = np.append(np.arange(0.0, 50.0, 0.1), np.arange(130.0, 180.0, 0.1))  # an interval would close the gap
+    pl.DataFrame({"Time": np.floor(t + 1e9).astype(int), "depth": t}).write_csv(tmp_path / "dive.csv")
+    found = guess_mapping(tmp_path / "dive.csv")
+    assert found.time.entry == {"column": "Time", "unit": "s", "disorder": "drop"}
+    assert "90% of its times repeat the one before: it has too few digits" in found.time.doubt
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "dive.csv", read_mapping(tmp_path / "log.toml"))
+    np.testing.assert_allclose(run.t, np.append(np.arange(50.0), np.arange(130.0, 180.0)))
+    np.testing.assert_allclose(run.channels["z"], run.t)
+
+
+def test_a_column_called_like_a_thruster_is_its_command_and_no_motion() -> None:
+    """Of a pilot's stick: the thruster file has a wrench for each axis. Without a name it is a motion."""
+    t = np.arange(0.0, 20.0, 0.05)
+    table = pl.DataFrame(
+        {"t": t, "Heave": np.sin(t), "Depth": np.cos(t), "Yaw Angle": np.full(len(t), np.nan)}
+    )
+    vehicle = vehicle_from_table(
+        VehicleTable.model_validate(
+            {
+                "schema": "undertow/vehicle/1",
+                "name": "rov",
+                "degrees_of_freedom": ["heave"],
+                "signs": "magnitudes",
+                "effects": {"rigid_body": {"m": 9.0}},
+                "thrusters": [{"name": "heave", "wrench": [0, 0, 1, 0, 0, 0]}],
+            }
+        ),
+        catalogue(),
+    )
+    by_channel = {g.channel: g.column for g in guess_table(table, Path("log.csv"), vehicle).columns}
+    assert by_channel == {"z": "Depth", "heave": "Heave"}
+    commanded = table.with_columns(pl.lit(0.5).alias("heave_cmd") * pl.col("Depth"))
+    by_channel = {g.channel: g.column for g in guess_table(commanded, Path("log.csv"), vehicle).columns}
+    assert by_channel == {"z": "Depth", "w": "Heave", "heave": "heave_cmd"}
+    assert "w" in {g.channel for g in guess_table(table, Path("log.csv")).columns}

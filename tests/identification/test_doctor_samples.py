@@ -98,6 +98,9 @@ def test_rows_that_arrive_in_bursts_are_a_mistake_and_outages_are_none() -> None
     assert found.evidence["gaps"] == pytest.approx(199, abs=2)
     out = (t < 10.0) | ((t > 40.0) & (t < 45.0)) | (t > 58.0)  # most of the time, but twice
     assert "bursts" not in _found(_run(t[out], u=np.sin(t[out])))
+    pauses = np.cumsum([250.0, 90_000.0, 40.0, 7.0, 60.0] * 10)  # several sessions in one file
+    sessions = np.arange(1040.0) + np.repeat(pauses, [1, 1, 1, 1, 100] * 10)
+    assert "bursts" not in _found(_run(sessions, u=np.sin(sessions)))
 
 
 def test_nothing_is_said_of_units_and_signs_where_the_times_are_those_of_arrival() -> None:

@@ -14,7 +14,7 @@ from undertow.identification.logs.run import FORCES, MEASURABLE, UNITS, Run, wit
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import FORCE
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Index
+from undertow.typing import Array, Flags, Index
 
 
 @dataclass(frozen=True)
@@ -168,6 +168,8 @@ def _bursts(step: Array, usual: float) -> list[Finding]:
     share = float(np.sum(gaps) / np.sum(step))
     if share <= SETTINGS.most_time or len(gaps) < SETTINGS.missing * len(step):
         return []
+    if _usual_spell(step, step > SETTINGS.gap * usual) > np.median(gaps):
+        return []  # a log of several sessions, or with outages
     return [
         Finding(
             id="bursts",
@@ -179,6 +181,16 @@ def _bursts(step: Array, usual: float) -> list[Finding]:
             evidence={"share": share, "gaps": float(len(gaps))},
         )
     ]
+
+
+def _usual_spell(step: Array, gap: Flags) -> float:
+    """How long the spell between two gaps lasts in which half of the rows are, or in longer ones, s."""
+    last = np.flatnonzero(np.append(gap, True))
+    first = np.append(0, last[:-1] + 1)
+    clock = np.append(0.0, np.cumsum(step))
+    lasts, rows = clock[last] - clock[first], last - first + 1
+    order = np.argsort(lasts)
+    return float(lasts[order][np.searchsorted(np.cumsum(rows[order]), np.sum(rows) / 2.0)])
 
 
 def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:

@@ -108,9 +108,11 @@ def guess_table(
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
-    motion = _best_columns([n for n in names if n.column not in dead or n.motion(only) not in _MOVED], only)
-    motion |= _speed_ahead(vehicle, [n for n in names if n.column not in dead and "u" not in motion])
-    driving = _commands([n for n in names if n not in motion.values()], vehicle, dead)
+    full = [n for n in names if np.isfinite(data[n.column]).any()]
+    free = [n for n in full if not _is_called_like_a_command(n, full, vehicle)]
+    motion = _best_columns([n for n in free if n.column not in dead or n.motion(only) not in _MOVED], only)
+    motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
+    driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
     read = _motions(motion, names, data, flags, t)
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
@@ -352,6 +354,15 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) ->
     if found.keys().isdisjoint(vehicle.actuator_names):
         found |= _by_number(names, vehicle.actuator_names)
     return found
+
+
+def _is_called_like_a_command(name: Name, names: Sequence[Name], vehicle: Vehicle | None) -> bool:
+    """Whether a column has the name of a thruster that no other column looks like a command of."""
+    called = name.column.lower()
+    if vehicle is None or called not in map(str.lower, vehicle.actuator_names):
+        return False
+    axes = _axes(vehicle)
+    return not any(n != name and n.is_command and n.drives(called, axes) < NO_FIT for n in names)
 
 
 def _axes(vehicle: Vehicle) -> dict[str, str]:

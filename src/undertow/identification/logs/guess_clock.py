@@ -35,6 +35,7 @@ class ClockSettings:
     # Share of the log by which times of too few digits may be off evenly spaced rows: the interval is then
     # known to one percent.
     even: float = 0.01
+    fewest: int = 30  # different times of such a clock from which the first row of each makes a log
     slowest: float = 0.01  # m/s that a logged vehicle exceeds
 
 
@@ -111,7 +112,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     late = _share_out_of_order(times)
     if late:
         entry["disorder"] = "drop"
-        asked.append(f"{late:.2%} of the rows are not later than an earlier one: leave them out?")
+        asked.append((_LATE if late < SETTINGS.late else _COARSE).format(late))
     return Guess(found, entry, " ".join(asked))
 
 
@@ -191,21 +192,31 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
     late = {n: _share_out_of_order(column) for n, column in data.items()}
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
+    rising += [n for n in late if n not in rising and is_clock(n) and _is_coarse(data[n])]
     texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
-    if not named and (even := next(filter(None, map(_rounded, data, data.values())), None)):
+    fine = [n for n in named if n in dated or not _is_coarse(data[n])]
+    if not fine and (even := next(filter(None, map(_rounded, data, data.values())), None)):
         return even
     # Of a table of several clocks only one has the time of every row.
     found = min(
         [*named, *rising],
-        key=lambda n: (n not in named, table[n].null_count(), not is_clock(n)),
+        key=lambda n: (n not in named, n not in fine, table[n].null_count(), not is_clock(n)),
         default=None,
     )
     if found is None:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
     return found
+
+
+def _is_coarse(times: Array) -> bool:
+    """Whether many rows have the same time, though many times are different: a clock of too few digits."""
+    steps = np.diff(times)
+    if not np.isfinite(times).all() or np.any(steps < 0.0) or np.sum(steps > 0.0) < SETTINGS.fewest:
+        return False
+    return bool(np.mean(steps == 0.0) >= SETTINGS.late)
 
 
 def _rounded(name: str, times: Array) -> Guess | None:
@@ -277,6 +288,11 @@ def unit_by_steps(t: Array, step: float) -> str:
     return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
 
 
+_LATE = "{:.2%} of the rows are not later than an earlier one: leave them out?"
+_COARSE = (
+    "{:.0%} of its times repeat the one before: it has too few digits, and only the first row of each time "
+    "is read: is that enough? If rows are evenly spaced, without a gap, all are read with interval instead"
+)
 _EVEN = 'state the sampling interval, if it is constant: --interval "0.1 s", or interval under [time]'
 # Units that are assumed for a clock without one; minutes, hours and days are asked about.
 _GUESSED = ("s", "ms", "us", "ns")
