@@ -1093,3 +1093,13 @@ def test_a_column_called_like_a_thruster_is_its_command_and_no_motion() -> None:
     by_channel = {g.channel: g.column for g in guess_table(commanded, Path("log.csv"), vehicle).columns}
     assert by_channel == {"z": "Depth", "w": "Heave", "heave": "heave_cmd"}
     assert "w" in {g.channel for g in guess_table(table, Path("log.csv")).columns}
+
+
+def test_dates_in_another_order_are_named_with_what_to_do(tmp_path: Path) -> None:
+    """Day or month first: the log does not say."""
+    rows = [f"03/11/2025 09:13:{k:02} +00:00,{abs(k - 20)}" for k in range(40)]
+    (tmp_path / "dive.csv").write_text("\n".join(["Ts,Depth", *rows]))
+    with pytest.raises(
+        UndertowError, match=r"time '03/11/2025 09:13:00 \+00:00' in row 1 is not an ISO 8601"
+    ):
+        guess_mapping(tmp_path / "dive.csv")

@@ -193,7 +193,7 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
     rising = [n for n, share in late.items() if share == 0.0]
     rising += [n for n, share in late.items() if is_clock(n) and 0.0 < share < SETTINGS.late]
     rising += [n for n in late if n not in rising and is_clock(n) and _is_coarse(data[n])]
-    texts = [n for n in table.columns if n not in data and (is_clock(n) or has_dates(table[n]))]
+    texts = [n for n in table.columns if n not in data and (is_clock(n) or _has_times(table[n]))]
     dated = [n for n in texts if not _no_dates(table, n, where)]
     named = [n for n in table.columns if (n in rising and is_clock(n)) or n in dated]
     fine = [n for n in named if n in dated or not _is_coarse(data[n])]
@@ -209,6 +209,12 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
     return found
+
+
+def _has_times(column: pl.Series) -> bool:
+    """Whether the first text of a column is a date with the time of day, in whatever order, or that alone."""
+    first = column.drop_nulls().first() if column.dtype == pl.String else None
+    return has_dates(column) or bool(re.search(r"(?<!\d)\d{1,2}:\d{2}:\d{2}(?!\d)", str(first)))
 
 
 def _is_coarse(times: Array) -> bool:
