@@ -1103,3 +1103,18 @@ def test_dates_in_another_order_are_named_with_what_to_do(tmp_path: Path) -> Non
         UndertowError, match=r"time '03/11/2025 09:13:00 \+00:00' in row 1 is not an ISO 8601"
     ):
         guess_mapping(tmp_path / "dive.csv")
+
+
+def test_latitude_and_longitude_that_repeat_between_fixes_are_read_where_they_are_new(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    fix = np.floor(t + 1e-9)
+    table = {"t": t, "lat": 48.0 + 1e-5 * fix, "lon": -3.0 + 2e-5 * fix, "yaw_rate": 0.1 * np.sin(t)}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    found = guess_mapping(tmp_path / "own.csv")
+    by_channel = {g.channel: g.entry.get("fresh") for g in found.columns}
+    assert by_channel == {"x": "lat", "y": "lon", "r": None}
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    north = run.reports("x")
+    np.testing.assert_allclose(run.t[np.isfinite(north)], np.arange(60.0), atol=1e-9)
+    np.testing.assert_allclose(np.diff(north[np.isfinite(north)]), 1.112, atol=1e-3)

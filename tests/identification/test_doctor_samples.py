@@ -373,3 +373,13 @@ def test_logs_too_short_for_a_fit_are_told_before_one_is_tried() -> None:
     assert not said[len(run.t)]
     (text,) = said[12]
     assert "commands were not checked: too few samples without a gap" in text
+
+
+def test_a_formula_of_a_slow_sensor_gets_a_line_if_it_has_one_column() -> None:
+    t = np.arange(0.0, 60.0, 0.05)
+    held = np.floor(t + 1e-9) ** 1.5
+    for expression, line in (("2 * lat", 'fresh = "lat"'), ("lat + lon", "")):
+        mapping = LogMapping.model_validate({"channels": {"x": expression}})
+        found = _found(_run(t, x=held), mapping)["held_values"]
+        assert line in found.mapping
+        assert bool(line) == bool(found.mapping)

@@ -12,6 +12,7 @@ import pytest
 import undertow as ut
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats import fieldlog
+from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import (
     FieldLog,
     Series,
@@ -204,3 +205,11 @@ def test_a_file_with_which_its_reader_hangs_is_one_line(
     with pytest.raises(UndertowError, match=r"dive.nc cannot be read as NetCDF: its reader .* 20 s: copy it"):
         read_log(tmp_path / "dive.nc")
     helper.close()
+
+
+def test_a_boat_of_which_a_log_knows_the_depth_alone_is_guessed(tmp_path: Path) -> None:
+    t = np.arange(0.0, 40.0, 0.5)
+    rows = (f"{s} NAV_DEPTH a 0\n{s} NAV_LAT a {48 + 1e-5 * s}\n{s} NAV_LONG a {-3 + 1e-5 * s}\n" for s in t)
+    log = read_field_log(_alog(tmp_path, "".join(rows)))
+    for name, channels in (("otter", {"x", "y"}), ("mini-auv", {"z"})):
+        assert {g.channel for g in first_mapping(log, load_vehicle(name)).columns} == channels

@@ -28,6 +28,9 @@ class JumpSettings:
     # rest to rest: a change of cameras by 5 cm in 20 ms needs 50, one of satellites by 0.5 m in 1 s 0.2; a
     # glider that is logged every 10 s and pitches by 30 degrees in between 0.001.
     at_ease: float = 0.1
+    # Share of the motion (mean square) that they would be, from which they are reported: of a glider that is
+    # logged every 10 s they are far more than all of the rest, small glitches of a heading 0.02 and less.
+    missed: float = 0.1
 
 
 SETTINGS = JumpSettings()
@@ -79,11 +82,13 @@ def shifts_at_ease(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
 
 
 def _at_ease(vehicle: Vehicle, run: Run, name: str, size: float) -> Array:
-    """Shifts of a pose that need little acceleration from rest to rest, (k, 2)."""
-    shifts = run.shifts[name]
+    """Shifts of a pose that need little acceleration from rest to rest, (k, 2); none if all are small."""
     lever = 1.0 if name in ("x", "y", "z") else size
-    needed = 4.0 * lever * shifts[:, 0] / shifts[:, 1] ** 2
-    return shifts[needed < SETTINGS.at_ease * vehicle.environment["g"]]
+    needed = 4.0 * lever * run.shifts[name][:, 0] / run.shifts[name][:, 1] ** 2
+    slow = run.shifts[name][needed < SETTINGS.at_ease * vehicle.environment["g"]]
+    velocity = run.channels[VELOCITY[POSE.index(name)]]
+    moved = float(np.nanmean(velocity**2)) * (run.t[-1] - run.t[0])
+    return slow if np.sum(slow[:, 0] ** 2 / slow[:, 1]) > SETTINGS.missed * moved else slow[:0]
 
 
 def _jumps(run: Run, limit: float) -> Array:

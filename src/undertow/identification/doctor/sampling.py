@@ -264,9 +264,11 @@ def _held(runs: Sequence[Run], name: str, mapping: LogMapping) -> Finding | None
 
 
 def _fresh(name: str, mapping: LogMapping) -> Edits:
-    """What lets a channel report when its value changes; nothing of a formula."""
+    """What lets a channel report when its value changes; nothing of a formula in several columns."""
     edit = column_edit(mapping, name)
-    return () if edit.table == "channels" else (column_edit(mapping, name, fresh=edit.key),)
+    computed = mapping.channels.get(name) if edit.table == "channels" else None
+    columns = [edit.key] if computed is None else computed.formula.columns
+    return (column_edit(mapping, name, fresh=columns[0]),) if len(columns) == 1 else ()
 
 
 def held_channels(runs: Sequence[Run], channels: Sequence[str], mapping: LogMapping) -> dict[str, Edits]:

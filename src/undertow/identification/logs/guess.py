@@ -123,8 +123,7 @@ def guess_table(
     known |= {channel: values for channel, (_, values) in place.items()}
     axes = axes_of(known | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
-    doubt = _FIXES.format(unit_of_place(*(data[n] for n in globe))) if globe else ""
-    read += _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", doubt)
+    read += _by_fixes(globe, place, data, flags)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += _driven(driving, data, vehicle)
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
@@ -253,6 +252,20 @@ def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], di
     globe = moved or latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
     return globe if place else (), place
+
+
+def _by_fixes(
+    globe: Sequence[str],
+    place: Mapping[str, tuple[str, Array]],
+    data: Mapping[str, Array],
+    flags: Mapping[str, Array],
+) -> list[Guess]:
+    """Entries of the place that latitude and longitude give."""
+    doubt = _FIXES.format(unit_of_place(*(data[n] for n in globe))) if globe else ""
+    fixes = _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", doubt)
+    new = [_fresh(Name.of(column), data[column], flags) for column in globe]
+    entries = [{**fix.entry, "fresh": n} if n else fix.entry for fix, n in zip(fixes, new, strict=True)]
+    return [replace(fix, entry=entry) for fix, entry in zip(fixes, entries, strict=True)]
 
 
 def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:

@@ -82,6 +82,8 @@ class Channel(_Strict):
     unit: str | None = None  # unit of the result; None: the SI unit of the channel
     delay: str | float = 0.0  # as for a column
     interpolate: bool = False  # as for a column
+    # As for a column: of a column of the formula, every change of its value is a new sample.
+    fresh: str | None = Field(default=None, min_length=1)
     wrapped: bool | None = None  # as for a column
 
     def in_units_of(self, factor: float) -> Channel:
@@ -225,6 +227,12 @@ class LogMapping(_Strict):
     held: Held = ()
     # Folder with definitions that are not in the log: ROS messages (.msg), glider sensors (.cac).
     messages: Path | None = None
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Columns that show where others have a new sample."""
+        fresh = (*(c.fresh for c in self.columns.values()), *(c.fresh for c in self.channels.values()))
+        return tuple(name for name in fresh if name)
 
     def required(self, commands: Collection[str]) -> set[str]:
         """Names of the columns that a log must have; that of a command is never optional."""

@@ -369,9 +369,8 @@ def dropping_disorder(mapping: LogMapping) -> LogMapping:
 
 def columns_read(mapping: LogMapping) -> list[str]:
     """Columns of a log that a mapping reads, without those of its clock."""
-    flags = [column.fresh for column in mapping.columns.values() if column.fresh]
     formulas = [name for channel in mapping.channels.values() for name in channel.formula.columns]
-    return list(dict.fromkeys([*mapping.columns, *flags, *formulas]))
+    return list(dict.fromkeys([*mapping.columns, *mapping.flags, *formulas]))
 
 
 def must_have(

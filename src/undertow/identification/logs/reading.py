@@ -280,9 +280,10 @@ def run_of_table(
         read = {
             c.channel: _values(table, name, c, mapping, where, begins=begins) for name, c in sources.items()
         }
-        read |= {
-            n: opening.computed(table, n, c, mapping, where, commands) for n, c in mapping.channels.items()
-        }
+        for n, c in mapping.channels.items():
+            cells = opening.computed(table, n, c, mapping, where, commands)
+            flag = None if c.fresh is None else numbers(table, c.fresh, mapping, where)
+            read[n] = _where_new(cells, flag, own=c.fresh in c.formula.columns, begins=begins)
         common = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _in_ned_frd(common.channels, mapping, where)
     run = Run(
@@ -300,7 +301,7 @@ def run_of_table(
     whole = {n: without_jumps(run.t, data) for n, data in run.channels.items() if mapping.jumps(n)}
     jumping = {n: run.channels[n] for n, a in whole.items() if not np.array_equal(a, run.channels[n], True)}
     run = replace(run, channels={**run.channels, **whole}, wrapped={**run.wrapped, **jumping})
-    slow = {turned_name(c.channel, frames.position) for c in sources.values() if c.fresh is not None}
+    slow = {turned_name(n, frames.position) for n in _slow(sources, mapping)}
     run = with_report_noise(run, slow, part=before is not None)
     columns = zip(DOFS, POSE, VELOCITY, strict=True)
     unlogged = tuple(motion for motion, *names in columns if not any(map(run.has, names)))
@@ -322,7 +323,7 @@ def _sources(names: Sequence[str], mapping: LogMapping, commands: list[str], whe
             opening.must_have(column.fresh, names, where, f"column, named as `fresh` of {name!r},")
     found = {name: column for name, column in mapping.columns.items() if name in names}
     for channel in mapping.channels.values():
-        for name in channel.formula.columns:
+        for name in (*channel.formula.columns, *filter(None, [channel.fresh])):
             opening.must_have(name, names, where, f"column of expression {channel.expression!r},")
     taken = {column.channel for column in found.values()} | {*mapping.channels}
     for name in names:
@@ -357,14 +358,26 @@ def _values(
     """Values of a channel; `begins`: whether its first row is that of the log, with none before it."""
     scale, offset = _to_si(name, column, where)
     cells = numbers(table, name, mapping, where)
-    if column.fresh is not None:
-        if column.fresh == name:  # a value that differs from that of the row before is new
-            new = np.concatenate([[begins], cells[1:] != cells[:-1]])
-        else:
-            flag = numbers(table, column.fresh, mapping, where)
-            new = np.isfinite(flag) & (flag != 0)
-        cells = np.where(new, cells, np.nan)
+    flag = None if column.fresh is None else numbers(table, column.fresh, mapping, where)
+    cells = _where_new(cells, flag, own=column.fresh == name, begins=begins)
     return column.scaled(cells, scale, offset)
+
+
+def _where_new(cells: Array, flag: Array | None, *, own: bool, begins: bool) -> Array:
+    """Cells of the rows with a new sample: where the flag is not zero, or, if it is their `own`, changes."""
+    if flag is None:
+        return cells
+    there = np.isfinite(flag)
+    new = there & (flag != 0)
+    if own and there.any():
+        new[there] = np.concatenate([[begins], np.diff(flag[there]) != 0.0])
+    return np.where(new, cells, np.nan)
+
+
+def _slow(sources: Mapping[str, Column], mapping: LogMapping) -> set[str]:
+    """Channels of which only some rows have a new sample."""
+    columns = {c.channel for c in sources.values() if c.fresh is not None}
+    return columns | {n for n, c in mapping.channels.items() if c.fresh is not None}
 
 
 def _on_rows(
@@ -373,7 +386,7 @@ def _on_rows(
     """The rows of a table; where it holds several series, the rows that these share."""
     late = {c.channel: si_of(f"{where}: delay of column {n!r}", c.delay, "s") for n, c in sources.items()}
     late |= {n: si_of(f"{where}: delay of channel {n!r}", c.delay, "s") for n, c in mapping.channels.items()}
-    slow = any(column.fresh is not None for column in sources.values())
+    slow = _slow(sources, mapping)
     interpolated = _interpolated(sources, mapping, where)
     table = np.abs(list(read.values()))
     unreadable = np.isnan(table).all() or (table > MEASURABLE.largest).any()  # refused by name, later
@@ -533,8 +546,7 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
 
 
 def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
-    flags = {column.fresh for column in sources.values()}
-    used = {*sources, *mapping.ignore, *mapping.time.columns, *flags}
+    used = {*sources, *mapping.ignore, *mapping.time.columns, *mapping.flags}
     used.update(n for channel in mapping.channels.values() for n in channel.formula.columns)
     left = [name or f"(column {k} has no name)" for k, name in enumerate(names, 1) if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []

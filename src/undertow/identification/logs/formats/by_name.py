@@ -62,12 +62,13 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
 def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
     """A mapping file of a native vehicle log: what its format defines, and guesses and questions on the rest.
 
-    Commands that are not known in the log are searched by name among its columns. If no motion is known,
-    everything is guessed.
+    Commands that are not known in the log are searched by name among its columns. If no motion of the vehicle
+    is known, everything is guessed.
     """
     meaning = log.mapping_for(vehicle.command_names if vehicle else ())
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
-    if log.by_name or not MEASURED & {guess.channel for guess in known}:
+    moves = {*vehicle.pose_names, *vehicle.velocity_names} if vehicle else MEASURED
+    if log.by_name or not MEASURED & moves & {guess.channel for guess in known}:
         return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK)
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
