@@ -628,3 +628,20 @@ def test_a_position_that_never_changes_is_a_warning(usv: Case) -> None:
     (finding,) = [f for f in examine(vehicle, [still]).result.findings if f.id == "measures_nothing"]
     assert finding.severity == "warning"
     refuse_impossible(vehicle, [still])
+
+
+def test_on_one_course_knots_and_a_current_are_both_named() -> None:
+    """At one speed to the north, velocities in knots that are 6 % too small differ as in a current."""
+    t, vehicle = np.arange(0.0, 200.0, 0.5), load_vehicle("otter")
+    rng = np.random.default_rng(6)
+    psi = 0.5 * np.sin(0.15 * t)
+    speed = 0.6 + 0.03 * np.sin(0.05 * t)
+    place = {"x": np.cumsum(speed * np.cos(psi)) * 0.5, "y": np.cumsum(speed * np.sin(psi)) * 0.5}
+    pose = {n: data + 0.02 * rng.standard_normal(len(t)) for n, data in place.items()}
+    commands = {n: 20.0 + 5.0 * np.sin((0.15 + 0.05 * k) * t) for k, n in enumerate(vehicle.command_names)}
+    channels = pose | {"psi": psi, "u": 0.94 * speed / 0.514444} | commands
+    run = velocities_from_pose(Run("course", t, channels, mapping=LogMapping()), vehicle.degrees_of_freedom)
+    found = examine(vehicle, [run]).result.findings
+    (doubt,) = [f for f in found if f.id in ("speed_unit", "velocity_through_water")]
+    said = " ".join([doubt.text, *doubt.alternatives])
+    assert "u is in knot, read as m/s" in said

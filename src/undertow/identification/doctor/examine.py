@@ -288,15 +288,17 @@ class _Examiner:
         found = best_explanation(kinematics, self.runs, known, self.vehicle)
         water = sensors.through_water(kinematics, kinematics.mismatch(self.runs), fits)
         # Against the water that moves with it, a vehicle that hardly moves seems to go the other way.
-        if found is None or (water is not None and water.after.total < found.after.total):
-            found = water
+        if water is not None and (found is None or water.after.total < found.after.total):
+            found = sensors.with_rivals(water, found)
         if found is None:
             return False
         others = [f.description() for f in sensors.as_good_as(found, fits)]
         chosen, rivals = supported_by_model(self.vehicle, self.runs, found)
+        if chosen is not found.mistake:
+            found = replace(found, after=kinematics.mismatch([chosen.undo(run) for run in self.runs]))
         explanation = _explanation(kinematics, found, chosen, rivals, self.runs)
         if others:
-            self._doubt(explanation, others)
+            self._doubt(explanation, [*(r.clause for r in rivals), *others])
             return False
         # Water may well move as fast as a vehicle does.
         gross = chosen.id != "velocity_through_water" and contradicts(found, chosen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -462,6 +462,14 @@ def through_water(kinematics: Kinematics, before: Mismatch, fits: Sequence[Senso
     if not certain or water.after.excess[0] > before.excess[0] / SETTINGS.decisive:
         return None
     return Explained(_in_water(water.value), [], before, water.after)
+
+
+def with_rivals(water: Explained, other: Explained | None) -> Explained:
+    """Velocities through the water, with the mistakes that explain the mismatch about as well."""
+    limit = SETTINGS.as_good * water.after.total + SETTINGS.negligible
+    if other is None or other.after.total > limit:
+        return water
+    return replace(water, rivals=[other.mistake, *other.rivals])
 
 
 def _in_water(current: Array) -> Mistake:
