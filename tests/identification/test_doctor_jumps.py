@@ -7,7 +7,7 @@ import pytest
 
 from tests.identification.logs_of import run_of
 from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.jumps import position_jumps, shifts_at_ease
+from undertow.identification.doctor.jumps import coarse_positions, position_jumps, shifts_at_ease
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.model.loading import load_vehicle
 
@@ -65,3 +65,16 @@ def test_steps_that_a_vehicle_may_have_moved_are_no_sure_shifts_of_the_origin(
     findings = list(shifts_at_ease(load_vehicle("glider"), [run]))
     assert [f.text.split()[1] for f in findings] == found
     assert all("theta changes 5 times by up to 0.5 rad" in f.text for f in findings)
+
+
+@pytest.mark.parametrize(("digits", "found"), [(0.4, True), (0.001, False)])
+def test_a_position_in_steps_of_its_resolution_is_no_velocity(digits: float, found: bool) -> None:
+    """Latitude in single precision has steps of 0.4 m: at 0.3 m/s it stays for more than a second."""
+    t = np.arange(0.0, 120.0, 0.04)
+    psi = 0.05 * t
+    north, east = (digits * np.round(6.0 * f(psi) / digits) for f in (np.sin, lambda a: 1.0 - np.cos(a)))
+    jitter = 0.01 * np.random.default_rng(5).uniform(size=len(t))
+    run = velocities_from_pose(run_of("boat", {"t": t + jitter, "x": north, "y": east, "psi": psi}), DOFS)
+    warnings = list(coarse_positions([run]))
+    assert bool(warnings) == found
+    assert all("though it makes good 0.3" in f.text for f in warnings)

@@ -31,6 +31,11 @@ class JumpSettings:
     # Share of the motion (mean square) that they would be, from which they are reported: of a glider that is
     # logged every 10 s they are far more than all of the rest, small glitches of a heading 0.02 and less.
     missed: float = 0.1
+    # Share of the rows that repeat the position of the one before, and factor by which velocities derived
+    # from it exceed the way made good over `changes` of it, from which they are those of its resolution.
+    repeated: float = 0.5
+    too_fast: float = 2.0
+    changes: int = 10
 
 
 SETTINGS = JumpSettings()
@@ -89,6 +94,40 @@ def _at_ease(vehicle: Vehicle, run: Run, name: str, size: float) -> Array:
     velocity = run.channels[VELOCITY[POSE.index(name)]]
     moved = float(np.nanmean(velocity**2)) * (run.t[-1] - run.t[0])
     return slow if np.sum(slow[:, 0] ** 2 / slow[:, 1]) > SETTINGS.missed * moved else slow[:0]
+
+
+def coarse_positions(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Positions that stay and jump by their resolution: velocities from them are those of the jumps."""
+    found = [one for run in runs if {"u", "v"} <= run.derived and (one := _coarse(run)) is not None]
+    if found:
+        yield max(found, key=lambda one: one.evidence["derived"])
+
+
+def _coarse(run: Run) -> Finding | None:
+    """What is wrong with a position whose velocity exceeds the way made good; None of others."""
+    there = np.isfinite(run.reports("x")) & np.isfinite(run.reports("y"))
+    t, place = run.t[there], run.channels["x"][there] + 1j * run.channels["y"][there]
+    jump = np.abs(np.diff(place))
+    new = jump > 0.0
+    if np.sum(new) <= 2 * SETTINGS.changes or np.mean(new) > 1.0 - SETTINGS.repeated:
+        return None
+    span = SETTINGS.changes * (t[-1] - t[0]) / np.sum(new)
+    later = np.searchsorted(t, t + span)
+    inside = later < len(t)
+    far = np.abs(place[later[inside]] - place[inside]) / (t[later[inside]] - t[inside])
+    made_good = float(np.sqrt(np.mean(far**2)))
+    derived = float(np.sqrt(np.nanmean(run.channels["u"] ** 2 + run.channels["v"] ** 2)))
+    if derived < SETTINGS.too_fast * made_good:
+        return None
+    return Finding(
+        id="coarse_position",
+        severity="warning",
+        text=f"{run.name}: x, y repeat in {1.0 - np.mean(new):.0%} of the rows and then jump, by up to "
+        f"{jump.max():.2g} m: u, v derived from them are {derived:.2g} m/s rms, though it makes good "
+        f"{made_good:.2g} m/s over {span:.2g} s; log the position with more digits and where it is new, or "
+        "map measured velocities",
+        evidence={"derived": derived, "made_good": made_good, "repeated": float(1.0 - np.mean(new))},
+    )
 
 
 def _jumps(run: Run, limit: float) -> Array:
