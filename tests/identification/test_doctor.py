@@ -645,3 +645,5 @@ def test_on_one_course_knots_and_a_current_are_both_named() -> None:
     (doubt,) = [f for f in found if f.id in ("speed_unit", "velocity_through_water")]
     said = " ".join([doubt.text, *doubt.alternatives])
     assert "u is in knot, read as m/s" in said
+    (note,) = [f for f in found if f.id == "agreement"]  # v is that of the pose
+    assert {*note.evidence} == {"scale_u", "offset_u"}

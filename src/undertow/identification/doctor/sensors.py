@@ -607,10 +607,13 @@ def not_compared(kinematics: Kinematics, vehicle: Vehicle) -> Iterator[Finding]:
 
 # --- agreement --------------------------------------------------------------------------------
 def agreement(kinematics: Kinematics, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Scale and offset of every velocity against the rate of the pose, where they can be estimated."""
+    """Scale and offset of every measured velocity against the rate of the pose, as far as they show."""
     kinds = ((VELOCITY[:3], POSE[:3]), (VELOCITY[3:], POSE[3:]))
     seen = [v for v, pose in kinds if {*pose} & {*kinematics.rows}]
-    names = [n for group in seen for n in group if n in kinematics.channels]
+    own = {*kinematics.channels}.difference(*(run.derived for run in runs))
+    names = [n for group in seen for n in group if n in own]
+    if not names:
+        return
     size, places = len(names), [VELOCITY.index(n) for n in names]
 
     def columns(at: Samples, _: object) -> Array:
