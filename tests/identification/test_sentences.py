@@ -189,6 +189,8 @@ def test_each_verdict_says_what_to_do() -> None:
     never = _diagnosis("indistinguishable", indistinguishable=hopeless, effects=["lift"])
     assert "no run is known that would tell them apart" in first_sentence(never)
     assert "undertow add lift" in next_command(never, LINE)
+    beside = _diagnosis("indistinguishable", indistinguishable=equals, effects=["slosh", "lift"])
+    assert "but wind would achieve the same as lift, or most of it" in first_sentence(beside)
     two = [*equals, Indistinguishable(effects=["slosh", "wind"], reason="")]
     both = _diagnosis("indistinguishable", indistinguishable=two, effects=["lift", "slosh"])
     assert "but wind would achieve the same" in first_sentence(both)  # once

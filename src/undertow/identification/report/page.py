@@ -44,7 +44,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
-from .sentences import chance, significance_text
+from .sentences import chance, established, significance_text
 
 # --- results of a model for a report --------------------------------------------------------------
 _CURVES = 9  # variables that residual forces are drawn against
@@ -258,7 +258,9 @@ class Meaning:
 
 @cache
 def meanings() -> dict[str, Meaning]:
-    """Every verdict explained, and as ``other_values`` one that names values instead of effects."""
+    """Every verdict explained; as ``other_values`` one that names values instead of effects, and as
+    ``one_of_several_too`` one that names an effect beside a set.
+    """
     text = (files("undertow.identification.report") / "templates" / "verdicts.toml").read_text("utf-8")
     tables = tomllib.loads(text)
     always = tables.pop("always")["not_shown"]
@@ -270,8 +272,12 @@ def meanings() -> dict[str, Meaning]:
 
 def meaning(diagnosis: Diagnosis) -> Meaning:
     """What the verdict of a diagnosis means, and what it does not."""
-    changed = diagnosis.verdict == "adequate" and diagnosis.freed
-    found = meanings()["other_values" if changed else diagnosis.verdict]
+    key = str(diagnosis.verdict)
+    if key == "adequate" and diagnosis.freed:
+        key = "other_values"
+    elif key == "indistinguishable" and established(diagnosis):
+        key = "one_of_several_too"
+    found = meanings()[key]
     if not any(run.role == "blocks" for run in diagnosis.runs):
         return found
     more = (

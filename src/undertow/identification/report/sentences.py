@@ -237,16 +237,18 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     others = " or ".join(e for e in alike if e not in diagnosis.effects) or "others"
     they, them = ("it is", "it") if len(diagnosis.helps) < 2 else ("they are", "them")
     not_the_cause = f"{they} not established as the cause: use {them} to predict, not to explain."
+    leaders = listed(s.effects[0] for s in diagnosis.indistinguishable)
+    same = f"the same as {leaders}" if established(diagnosis) else "the same"
     apart = ": record the run that tells them apart before concluding that one of them is the cause"
     if not _separable(diagnosis):
         apart = (
-            ", and no run is known that would tell them apart: use any of them for prediction, but do not "
+            ", and no run is known that would tell them apart: use any of these for prediction, but do not "
             "regard any as the cause"
         )
     sentences: dict[str, str] = {
         "adequate": f"These logs show nothing missing: {refitted}{use}.",
         "missing_effect": f"{change}{also if helping else ''}.",
-        "indistinguishable": f"{change}, but {others} would achieve the same, or most of it{apart}.",
+        "indistinguishable": f"{change}, but {others} would achieve {same}, or most of it{apart}.",
         "helps_prediction": f"{change}, but {not_the_cause}",
         "not_identifiable": f"Something is missing, but these logs do not say what: {refitted}; record a run "
         "with different motions.",
@@ -259,6 +261,12 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.freed and diagnosis.verdict not in sentences:
         return f"{change}. {unexplained}"
     return sentences.get(diagnosis.verdict, unexplained)
+
+
+def established(diagnosis: Diagnosis) -> list[str]:
+    """The named effects that no other effect could replace."""
+    alike = {e for s in diagnosis.indistinguishable for e in s.effects}
+    return [e for e in diagnosis.effects if e not in alike]
 
 
 def _separable(diagnosis: Diagnosis) -> bool:
