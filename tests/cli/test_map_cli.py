@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -1118,3 +1119,19 @@ def test_latitude_and_longitude_that_repeat_between_fixes_are_read_where_they_ar
     north = run.reports("x")
     np.testing.assert_allclose(run.t[np.isfinite(north)], np.arange(60.0), atol=1e-9)
     np.testing.assert_allclose(np.diff(north[np.isfinite(north)]), 1.112, atol=1e-3)
+
+
+def test_the_volume_that_a_glider_pumps_is_its_net_buoyancy(tmp_path: Path) -> None:
+    t = np.arange(0.0, 600.0, 4.0)
+    volume = 200.0 * np.sign(np.sin(0.02 * t))
+    table = {"t": t, "m_depth": 10.0 + 5.0 * np.sin(0.02 * t), "c_ballast_pumped": 230.0 + 0.1 * t}
+    (tmp_path / "own.csv").write_text(text_of(table | {"m_ballast_pumped": volume}))
+    glider = load_vehicle("glider")
+    heaving = replace(glider, inputs={"B_net": "N"}, degrees_of_freedom=("heave",))
+    with_engine = heaving.with_effect(catalogue()["net_buoyancy"], {})
+    found = guess_mapping(tmp_path / "own.csv", with_engine)
+    assert any("m_ballast_pumped: B_net: weight of the water displaced" in q for q in found.asked)
+    (tmp_path / "log.toml").write_text(found.text())
+    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"), channels=["B_net"])
+    np.testing.assert_allclose(run.channels["B_net"], 1025 * 9.816 * 1e-6 * volume, rtol=1e-5)
+    assert "B_net" not in {g.channel for g in guess_mapping(tmp_path / "own.csv", glider).columns}

@@ -242,7 +242,9 @@ def _glider(size: MainDimensions) -> Made:
         EffectTable("rudder_force", list(_steering(fins, ("rudder",), propeller=False))),
     ]
     about = (
-        "A glider with wings and a rudder (rad). What drives it is B - W and the place of its weight (x_g)."
+        "A glider with wings and a rudder (rad). What drives it is B - W and the place of its weight (x_g). "
+        'If the log has the volume of its buoyancy engine, add inputs = ["B_net"] and a table '
+        "[effects.net_buoyancy] before `undertow map new`."
     )
     rudder = _surface("rudder", _RULES.fin_place * size.length, (0.0, 1.0, 0.0))
     return about, _SIX, tables, [rudder]

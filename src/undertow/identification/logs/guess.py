@@ -25,6 +25,7 @@ from .guess_frames import (
     GuessedMapping,
     axes_of,
     formulas,
+    in_formula,
     place_of,
     quaternion_in,
     rate_of_heading,
@@ -126,6 +127,8 @@ def guess_table(
     read += _by_fixes(globe, place, data, flags)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += _driven(driving, data, vehicle)
+    engine = _buoyancy_engine([n for n in full if n.column not in dead], vehicle)
+    read += engine if "B_net" not in driving else []
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
@@ -236,6 +239,7 @@ _FLAG = (
 
 
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
+_PUMPED = "B_net: weight of the water displaced, if this is in cm^3 and grows to rise: is it, and does it?"
 _FIXES = "x and y: metres from the first fix of this log, if these are {}: are they?"
 
 
@@ -244,6 +248,17 @@ def _computed(columns: Sequence[str], by_channel: Mapping[str, str], unit: str, 
     entries = [{"channel": c, "expression": text, "unit": unit} for c, text in by_channel.items()]
     doubts = [doubt, *[""] * len(entries)]
     return [Guess(", ".join(columns), entry, d) for entry, d in zip(entries, doubts, strict=False)]
+
+
+def _buoyancy_engine(names: Sequence[Name], vehicle: Vehicle | None) -> list[Guess]:
+    """The net buoyancy of a vehicle that takes it from the log, from the volume that a glider pumps."""
+    if vehicle is None or "B_net" not in vehicle.inputs:
+        return []
+    column = next((n.column for n in names if n.is_pumped_volume), None)
+    if column is None:
+        return []
+    force = 1e-6 * vehicle.environment["rho"] * vehicle.environment["g"]  # N per cm^3
+    return _computed([column], {"B_net": f"{force:.6g} * {in_formula(column)}"}, "N", _PUMPED)
 
 
 def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], dict[str, tuple[str, Array]]]:

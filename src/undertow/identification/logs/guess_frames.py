@@ -178,7 +178,7 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
     A fix at zero and zero is that of a receiver without one.
     """
     written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
-    degrees = {name: written.format(_in_formula(name)) for name, _ in (latitude, longitude)}
+    degrees = {name: written.format(in_formula(name)) for name, _ in (latitude, longitude)}
     lat, lon = (Formula(degrees[name]).of({name: data}) for name, data in (latitude, longitude))
     fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
     if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
@@ -220,7 +220,7 @@ def unit_of_place(latitude: Array, longitude: Array) -> str:
     return "radians" if known and north <= np.pi / 2 and east <= np.pi else "degrees"
 
 
-def _in_formula(name: str) -> str:
+def in_formula(name: str) -> str:
     return name if name.isidentifier() else f'column("{name}")'
 
 
@@ -269,7 +269,7 @@ def _is_unit(columns: Sequence[Array]) -> bool:
 
 def formulas(names: Sequence[str]) -> dict[str, str]:
     """Roll, pitch and yaw, rad, from columns w, x, y, z, as a mapping file computes them."""
-    w, x, y, z = map(_in_formula, names)
+    w, x, y, z = map(in_formula, names)
     ahead, across = f"1 - 2*({y}**2 + {z}**2)", f"2*({w}*{z} + {x}*{y})"
     return {
         "phi": f"atan2(2*({w}*{x} + {y}*{z}), 1 - 2*({x}**2 + {y}**2))",

@@ -83,6 +83,8 @@ _ABOUT_ELSE = {
     "wind", "vibration", "vib", "mag", "magnetic", "magnetometer", "camera", "gimbal", "joy", "joystick",
 }  # fmt: skip
 _MOMENT = {"torque", "moment"}
+# Buoyancy engines of gliders; their volume as commanded (c_ballast_pumped of a Slocum) is not that pumped.
+_ENGINE, _COMMANDED = {"ballast", "vbd", "buoyancy", "bladder"}, {"c", "cmd", "command", "commanded"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
 # Forces and moments in one word, beside one for a wrench: "wrench.fx", "tau_mz".
@@ -318,6 +320,13 @@ class Name:
         dimension = next((d for d in (_LENGTHS, _ANGLES, _SPEEDS, {"V"}, {"N"}) if unit in d), {unit})
         fits = there and apparent and self.unit in {"", *dimension}
         return 2.0 if fits else NO_FIT, len(words)
+
+    @property
+    def is_pumped_volume(self) -> bool:
+        """Whether it is the volume by which a buoyancy engine has changed that of the vehicle."""
+        words = set(self.words)
+        measured = not words & {*WANTED, *_COMMANDED}
+        return measured and bool(words & _ENGINE) and self.unit in {"", "cc", "cm^3", "cm3", "ml"}
 
     @property
     def force(self) -> str:
