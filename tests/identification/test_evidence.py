@@ -43,6 +43,7 @@ from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.result_builder import validated
 from undertow.model.catalogue import catalogue
+from undertow.model.vehicle import Value
 
 _ROWS, _PER_BLOCK = 600, 20
 _INERTIA = ("added_mass", "added_mass_coriolis")
@@ -469,3 +470,19 @@ def test_an_effect_leaves_with_the_one_whose_parameters_it_shares() -> None:
         "added_mass",
         "radiation_memory",
     ]
+
+
+def test_a_coupling_that_only_an_asymmetric_hull_has_is_not_proposed() -> None:
+    """D of a ship with port-starboard symmetry has Y_r and N_v and no other coupling (Fossen, chapter 6)."""
+    model = vehicle_of(make_case("usv", (), 22, duration=1.0))
+    effects = catalogue()
+    coupling = Candidate(effects["linear_damping_coupling"], model)
+    assert {p.name for p in coupling.parameters} == {"Y_r", "N_v"}
+    inertia = Candidate(effects["added_mass_coupling"], model)
+    assert {p.name for p in inertia.parameters} == {"Y_rdot"}
+    rov = vehicle_of(make_case("rov", (), 22, duration=1.0))
+    six = {p.name for p in Candidate(effects["linear_damping_coupling"], rov).parameters}
+    assert len(six) == 12
+    assert {"K_v", "Y_p", "K_r", "N_p", "X_w", "Z_u", "X_q", "M_u", "Z_q", "M_w"} <= six
+    stated = model.with_effect(effects["linear_damping_coupling"], {"N_u": Value(-0.1, estimate=True)})
+    assert "N_u" in stated.parameter_names, "a vehicle file may say otherwise"

@@ -90,6 +90,9 @@ class Parameter:
         vehicle: a model has all components or none.
     step_width : bool
         True for the velocity over which a step is smoothed; wider than the motion it is not a step.
+    asymmetric : bool
+        True for a term that only a body whose port and starboard sides differ has (X_r, N_u): a vehicle file
+        may state it, but it is not proposed, since a current, a trim or a sensor off its axis acts alike.
     within : float
         Largest magnitude in natural units of the vehicle (powers of its mass, its length and the time
         sqrt(length / g)) that a fit allows if the file states no standard deviation. Positions on board have
@@ -114,6 +117,7 @@ class Parameter:
     without_log: str = ""
     earth_axis: bool = False
     step_width: bool = False
+    asymmetric: bool = False
     within: float = 100.0
     name: str = field(default="", kw_only=True)
 
@@ -249,6 +253,8 @@ class DerivativeMatrix:
             bounds=self.bounds,
             motion=j if self.directional else None,
             on_left_side=True,
+            # Surge, heave and pitch keep their signs in a mirror at the plane of symmetry, the others do not.
+            asymmetric=i % 2 != j % 2,
             within=self.within,
             name=self._name(i, j),
         )

@@ -66,7 +66,11 @@ class Candidate:
         return tuple(p for p in own if p.name in names and p.name not in known and self._is_estimated(p))
 
     def _is_estimated(self, parameter: Parameter) -> bool:
-        """Whether a parameter has to be estimated: not those that a present effect takes as known."""
+        """Whether a parameter has to be estimated: not those that a present effect takes as known, and none of
+        an asymmetric body.
+        """
+        if parameter.asymmetric:
+            return False
         if parameter.default is None:
             return True
         sought = not parameter.assumed or bool(parameter.starts)
