@@ -237,7 +237,7 @@ def test_a_log_in_the_place_of_the_vehicle_is_refused(
     line = refusal(_words(command, "train.csv", vehicle), capsys, case)
     assert "'train.csv' is a log in the place of the vehicle" in line
     assert f"'{vehicle}' a vehicle in the place of a log" in line
-    order = "EFFECT VEHICLE LOG" if command == "add" else "VEHICLE LOG"
+    order = "EFFECT[,EFFECT] VEHICLE LOG" if command == "add" else "VEHICLE LOG"
     assert line.endswith(f"the order is undertow {command} {order}")
 
 
