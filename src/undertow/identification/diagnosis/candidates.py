@@ -66,7 +66,7 @@ class Candidate:
         return tuple(p for p in own if p.name in names and p.name not in known and self._is_estimated(p))
 
     def _is_estimated(self, parameter: Parameter) -> bool:
-        """Whether it has to be estimated: not what a present effect takes as known, or an asymmetric body has."""
+        """Whether it has to be estimated: no known value of a present effect, and no asymmetry of a hull."""
         if parameter.asymmetric:
             return False
         if parameter.default is None:
