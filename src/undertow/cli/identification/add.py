@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from undertow.errors import listed
+
 from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import progress, say, section, table
 from ._logs import HoldoutOption, LogOptions, LogsArgument, refuse_vehicle_as_effect, say_long
@@ -53,7 +55,6 @@ def add(
     picture: Annotated[Path | None, _PICTURE] = None,
     json: JsonFileOption = None,
 ) -> int:
-    from undertow.errors import listed
     from undertow.files import check_folder, together, write_whole
     from undertow.identification.api import result_of, save_addition, try_effect
     from undertow.identification.long_logs.choosing import FIT
@@ -101,7 +102,6 @@ def add(
 
 def show(addition: Addition) -> None:
     """Say what the effects do to the error, and with which values."""
-    from undertow.errors import listed
     from undertow.identification.estimation.step import UNDETERMINED
     from undertow.identification.report.results import addition_sentence
     from undertow.identification.report.sentences import percentage

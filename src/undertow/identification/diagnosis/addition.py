@@ -19,7 +19,7 @@ from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.output_error import NO_WORSE, horizon_error
 from undertow.identification.estimation.residual import WeakModel, base_name, origins, whitened
 from undertow.identification.estimation.test_functions import Whitening
-from undertow.identification.estimation.weak_form import WeakFit, free_parameters, mean_square
+from undertow.identification.estimation.weak_form import WeakFit, mean_square
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue
 from undertow.model.effect import Effect
@@ -133,8 +133,7 @@ class _Added:
     @property
     def bench_with_it(self) -> Bench:
         """The bench whose base has the effect."""
-        grown = self.candidate.vehicle_with(self.fit.values)
-        return replace(self.bench, base=self.bench.fit(grown, free_parameters(grown), self.fit.values))
+        return self.bench.with_model(self.candidate.vehicle_with(self.fit.values), self.fit.values)
 
 
 def _added(effect: type[Effect], bench: Bench, keep_all: bool) -> _Added:

@@ -188,6 +188,10 @@ class Bench:
         )
         return self.in_all_runs(fit)
 
+    def with_model(self, vehicle: Vehicle, start: Mapping[str, float]) -> Bench:
+        """The bench whose base is another model, fitted from a start."""
+        return replace(self, base=self.fit(vehicle, start=start))
+
     @cached_property
     def noise_level(self) -> Array:
         """Mean square that channel noise alone would have on the validation data, for each equation."""

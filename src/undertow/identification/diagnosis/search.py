@@ -16,7 +16,6 @@ from undertow.identification.estimation.step import freed
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     fit_weak,
-    free_parameters,
     with_reestimated_noise,
 )
 from undertow.model.catalogue import Catalogue
@@ -297,7 +296,8 @@ def _steps(
                 break
         if _noise_out_of_reach(bench.base, fit, bench, bench.settings.max_effects - len(effect_set)):
             break
-        bench = _next_bench(current.bench, vehicle, effect_set, fit)
+        # The effects found become part of the model.
+        bench = current.bench.with_model(with_effects(vehicle, effect_set), fit.values)
     return _Steps(rounds, effect_set, fit, {})
 
 
@@ -326,13 +326,6 @@ def _led_by_adequate(current: Round, residual_is_noise: IsNoise) -> Round:
     if adequate is None:
         return current
     return replace(current, findings=[adequate, *(f for f in current.findings if f is not adequate)])
-
-
-def _next_bench(bench: Bench, vehicle: Vehicle, effect_set: list[FoundEffect], fit: WeakFit) -> Bench:
-    """The bench for the next round: the effect found becomes part of the model."""
-    grown = with_effects(vehicle, effect_set)
-    base = bench.fit(grown, free_parameters(grown), fit.values)
-    return replace(bench, base=base)
 
 
 def _scaled(report: Progress, begin: float, share: float) -> Progress:

@@ -236,9 +236,8 @@ class _Selector:
             same = {base_name(n) for n in base.model.free} == {*free}
             if same and base.vehicle.parameter_names == grown.parameter_names:
                 return done
-        bench = rounds[-1].bench
-        base = bench.fit(grown, free, chosen[-1].trial.fit.values)
-        self._rounds.append(try_all(replace(bench, base=base), self._known, self._report_weak_form))
+        bench = rounds[-1].bench.with_model(grown, chosen[-1].trial.fit.values)
+        self._rounds.append(try_all(bench, self._known, self._report_weak_form))
         return self._rounds[-1]
 
 

@@ -213,9 +213,9 @@ def unit_of_place(latitude: Array, longitude: Array) -> str:
     north, east = (float(np.nanmax(np.abs(data), initial=0.0)) for data in (latitude, longitude))
     if north > SETTINGS.many_units:
         return "1e-7 degrees"
-    minutes = [np.abs(data[np.isfinite(data)]) % 100.0 for data in (latitude, longitude)]
     if max(north, east) > 360.0 and north <= 9000.0 and east <= 18000.0:
-        return _MINUTES if all(np.all(m < 60.0) for m in minutes) else "degrees"
+        minutes = np.abs(np.concatenate([latitude, longitude])) % 100.0
+        return "degrees" if np.any(minutes >= 60.0) else _MINUTES
     known = max(north, east) > SETTINGS.nowhere
     return "radians" if known and north <= np.pi / 2 and east <= np.pi else "degrees"
 
