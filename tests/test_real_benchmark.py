@@ -386,3 +386,11 @@ def test_a_set_can_have_what_was_found_in_it_in_its_vehicle_file() -> None:
     windows = cut_all(plain, judged, logs.horizons)
     errors = [ahead(v, judged, windows) for v in (plain, richer)]
     assert errors[1] < errors[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real logs: ../shared/data is absent")
+def test_a_righting_arm_too_short_is_named_although_other_values_take_up_most_of_its_force() -> None:
+    """With a longer arm at large angles the refit has nearly the same force, but another period."""
+    logs = {"roll-38-37": improved(SETS["roll-38-37"])}
+    assert worker(logs, DATA)(Case("roll-38-37", "righting-arm", 0.2))["answer"]["named"] == ["trim_offset"]

@@ -463,9 +463,12 @@ class Grading:
         variables = own_variables(finding.trial.candidate, *vehicles)
         if not variables or not self._changes_velocities(finding):
             return ""
-        share = share_of_predictable(bench.base, fit, bench.train, bench.test, variables)
-        if share >= self._settings.own_share:
-            return ""
+        weak, final = (bench.base, fit), [self._validator.predicting_fit(f) for f in (bench.base, fit)]
+        # Without the effect, the values with the least residual force may not be those that predict best.
+        for without, with_it in (weak, final):
+            share = share_of_predictable(without, with_it, bench.train, bench.test, variables)
+            if share >= self._settings.own_share:
+                return ""
         return (
             f"it explains only {share:.0%} of the residual that depends on its variables "
             f"({', '.join(variables)})"
