@@ -38,15 +38,19 @@ def test_what_stands_against_naming(share: float, left: Remainder, doubt: str) -
 def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     winners = [SimpleNamespace(id=i) for i in TWO]
     alike = [Indistinguishable(effects=["actuation_delay", "thruster_lag"], reason="")]
-    both = _headline(winners, alike, 0.99, True)
+    both = _headline(winners, [], alike, 0.99, True)
     assert both.startswith(
         "Missing: lift. In addition, these data cannot tell which is missing: actuation_delay or "
         "thruster_lag."
     )
-    alone = _headline(winners[1:], alike, 0.99, True)
+    alone = _headline(winners[1:], [], alike, 0.99, True)
     assert alone.startswith("These data cannot tell which is missing: actuation_delay or thruster_lag.")
-    assert _headline(winners, [], 0.93, False) == (
+    assert _headline(winners, [], [], 0.93, False) == (
         "Missing: lift and actuation_delay; together they explain 93% of the excess over noise."
+    )
+    # The noise that remains is that of the model with all effects, also those that only help to predict.
+    assert _headline(winners[:1], winners[1:], [], 0.99, True) == (
+        "Missing: lift; with actuation_delay as well, only noise remains."
     )
 
 

@@ -142,7 +142,7 @@ def _with_effects(
     verdict: Verdict = "indistinguishable" if sets else "missing_effect"
     if any(len(s.effects) > found.bench.settings.most_equivalent for s in sets):
         verdict = "not_identifiable"
-    text = " ".join([_headline(named, sets, share, residual_is_noise), *doubts])
+    text = " ".join([_headline(named, helping, sets, share, residual_is_noise), *doubts])
     return Judgement(verdict, text, named, sets, share, helping)
 
 
@@ -262,10 +262,17 @@ def _unexplained(winners: list[FoundEffect], share: float, reason: str) -> Judge
 
 
 def _headline(
-    winners: list[FoundEffect], sets: list[Indistinguishable], share: float, residual_is_noise: bool
+    winners: list[FoundEffect],
+    helping: list[FoundEffect],
+    sets: list[Indistinguishable],
+    share: float,
+    residual_is_noise: bool,
 ) -> str:
     indistinguishable = {e for s in sets for e in s.effects}
-    rest = "what remains is noise" if residual_is_noise else _share_in_words(len(unique_ids(winners)), share)
+    rest = _share_in_words(len(unique_ids(winners)), share)
+    if residual_is_noise:
+        beside = " and ".join(unique_ids(helping))
+        rest = f"with {beside} as well, only noise remains" if beside else "what remains is noise"
     names = " and ".join(n for n in unique_ids(winners) if n not in indistinguishable)
     if not sets:
         return f"Missing: {names}; {rest}."
