@@ -145,6 +145,7 @@ class Search:
     given: the model before any value was freed, fitted under its own noise model, where `fit` begins.
     base: the same for `vehicle`.
     freed: those values, each with alternatives that would have the same effect.
+    second_look: the last round under sensor noise alone, if it was tried.
     """
 
     vehicle: Vehicle
@@ -155,6 +156,7 @@ class Search:
     given: WeakFit
     base: WeakFit
     freed: Freed = field(default_factory=dict)
+    second_look: Round | None = None
 
     @property
     def winners(self) -> list[FoundEffect]:
@@ -189,7 +191,8 @@ def search(
             return replace(found, given=initial.base, freed={**names, **found.freed})
         steps = _stepwise(vehicle, initial, known, report, residual_is_noise, _none_to_free)
     report(0.9, "testing all effects together")
-    return _refitted_together(vehicle, initial, steps.rounds, steps.effect_set)
+    found = _refitted_together(vehicle, initial, steps.rounds, steps.effect_set)
+    return replace(found, second_look=steps.second_look)
 
 
 @dataclass(frozen=True)
@@ -197,7 +200,8 @@ class _Steps:
     """Rounds of candidates, the effects that were added, and the model with them.
 
     `freed` are fixed values that improve the model more than the next effect: then the search ends here.
-    `paired`: two effects of which neither is significant alone.
+    `paired`: two effects of which neither is significant alone. `second_look`: the last round under sensor
+    noise alone, in vain.
     """
 
     rounds: list[Round]
@@ -205,6 +209,7 @@ class _Steps:
     fit: WeakFit
     freed: Freed
     paired: bool = False
+    second_look: Round | None = None
 
 
 def _none_to_free(current: Round, residual_is_noise: IsNoise) -> Freed:
@@ -247,7 +252,7 @@ def _stepwise(
         undisturbed, again.fit, residual_is_noise
     ):
         return replace(again, rounds=[*steps.rounds[:-1], *again.rounds])
-    return steps
+    return replace(steps, second_look=again.rounds[0])
 
 
 def _report_late(report: Progress, done: float, words: str) -> None:

@@ -199,7 +199,7 @@ class _Selector:
             return current, best
         if graded or not np.any(current.bench.base.disturbance):
             return current, self._insignificant(current, graded)
-        slow = try_all(current.bench.without_disturbance(), self._known, self._report_weak_form)
+        slow = self._without_disturbance(current)
         best = self._best(slow, graded)
         if best is not None:
             return slow, best
@@ -209,6 +209,13 @@ class _Selector:
         others = [f for f in current.findings if f.id not in known]
         current = replace(current, findings=[*others[: len(found)], *additional, *others[len(found) :]])
         return current, self._insignificant(current, graded)
+
+    def _without_disturbance(self, current: Round) -> Round:
+        """The same candidates under sensor noise alone; if the search has tried them so, as it did."""
+        again = self._found.second_look
+        if again is not None and current is self._found.rounds[-1]:
+            return again
+        return try_all(current.bench.without_disturbance(), self._known, self._report_weak_form)
 
     def _insignificant(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate for prediction among those whose force is not significant.
