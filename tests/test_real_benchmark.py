@@ -394,3 +394,12 @@ def test_a_righting_arm_too_short_is_named_although_other_values_take_up_most_of
     """With a longer arm at large angles the refit has nearly the same force, but another period."""
     logs = {"roll-38-37": improved(SETS["roll-38-37"])}
     assert worker(logs, DATA)(Case("roll-38-37", "righting-arm", 0.2))["answer"]["named"] == ["trim_offset"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real logs: ../shared/data is absent")
+def test_an_effect_that_led_the_fit_to_another_local_minimum_does_not_lead_the_candidates() -> None:
+    """Its fit predicts better than that without it, and as well with the effect set to zero."""
+    found = worker({"box-step": improved(SETS["box-step"])}, DATA)(Case("box-step", "scale", 0.05))
+    assert "another local minimum" in found["not_named"]["boundary_proximity"]
+    assert found["answer"]["ranking"][0] == "sensor_scale"

@@ -224,7 +224,7 @@ class Grading:
         self._squares: dict[str, dict[float, Array]] = {}
         self._before = self._predicted(self._screened())
         self.gains = {i: self._gain([f], self._before, self._squares[i]) for i, f in self._found.items()}
-        self._other_minima: dict[str, bool] = {}
+        self._other_minima: dict[str, PredictionGain | None] = {}
 
     def best(self) -> Graded | None:
         """The best candidate that improves predictions enough, with its rivals; an established one leads.
@@ -251,6 +251,11 @@ class Grading:
             for i, gain in self.gains.items()
         }
         return {f.id: known.get(f.id) or _NOT_BEST for f in beyond_chance(self._round)}
+
+    @property
+    def net_gains(self) -> dict[str, PredictionGain]:
+        """Improvements of predictions, by id, without what is due to another local minimum of the fit."""
+        return self.gains | {i: gain for i, gain in self._other_minima.items() if gain and i in self.gains}
 
     # --- which improve predictions, and which one leads -----------------------------------------------
     def _screened(self) -> list[FoundEffect]:
@@ -329,15 +334,16 @@ class Grading:
     def _other_minimum(self, finding: FoundEffect) -> str:
         """That the fit predicts as well with the effect set to zero, in words; empty if not."""
         if finding.id not in self._other_minima:
-            self._other_minima[finding.id] = self._predicts_without(finding)
+            self._other_minima[finding.id] = self._gain_in_other_minimum(finding)
         return _OTHER_MINIMUM if self._other_minima[finding.id] else ""
 
-    def _predicts_without(self, finding: FoundEffect) -> bool:
+    def _gain_in_other_minimum(self, finding: FoundEffect) -> PredictionGain | None:
+        """Improvement over the same fit with the effect set to zero, where that is too little to matter."""
         without = with_effect_zero(finding, self._validator.predicting_fit(finding.trial.fit))
         if without is None:
-            return False
-        squares = self._validator.squares_ahead(without)
-        return not self._gain([finding], squares, self._squares[finding.id]).helps(self._settings.worth)
+            return None
+        gain = self._gain([finding], self._validator.squares_ahead(without), self._squares[finding.id])
+        return None if gain.helps(self._settings.worth) else gain
 
     @cached_property
     def _predictive(self) -> list[FoundEffect]:

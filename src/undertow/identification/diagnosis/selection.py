@@ -229,8 +229,8 @@ class _Selector:
         grading = Grading(current, graded, self._predictions, self._later)
         best = grading.best()
         if not graded:
-            self._gains |= grading.gains
             self._reasons |= grading.reasons
+            self._gains |= grading.net_gains
         return best
 
     def _round(self, chosen: Sequence[FoundEffect], rounds: Sequence[Round]) -> Round:
