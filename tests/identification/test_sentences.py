@@ -250,6 +250,25 @@ def test_a_residual_that_may_be_a_disturbance_is_not_called_missing() -> None:
     assert "explains what is missing" in first_sentence(_diagnosis("unexplained", predictable=[known]))
 
 
+def test_an_effect_that_shows_but_hardly_changes_predictions_is_mentioned_and_not_named() -> None:
+    """A tether that came taut once explains most of the residual force, and little of the motion."""
+
+    def said(after: float, fall: float) -> str:
+        taut = Ranked(
+            effect="tether_tension", family="tether", about="", parameters=[], error_before=3.0,
+            error_after=after, explained=0.0, improvement=0.1, interval=(0.05, 0.15), significant=True,
+            falls={"5 s": 0.01, "20 s": fall},
+        )  # fmt: skip
+        return first_sentence(_diagnosis("unexplained", ranking=[taut]))
+
+    assert said(1.5, 0.02).endswith(
+        "tether_tension lowers the residual from 3 to 1.5 times the noise, but no prediction error by more "
+        "than 2%, too little to establish it: record runs in which it would act more."
+    )
+    assert "tether_tension" not in said(2.9, 0.02)  # a small part of the residual
+    assert "tether_tension" not in said(1.5, 0.2)  # not named for another reason
+
+
 def test_a_model_worse_than_none_is_called_so() -> None:
     """A share of 1 is the error of a model whose vehicle never moves."""
     assert useless({"u": 0.4, "v": 1.0}) == ""

@@ -253,7 +253,8 @@ def first_sentence(diagnosis: Diagnosis) -> str:
         "not_identifiable": f"Something is missing, but these logs do not say what: {refitted}; record a run "
         "with different motions.",
     }
-    unexplained = _only_disturbance(diagnosis, refitted) or (
+    unexplained = _hardly_acts(diagnosis, refitted) or _only_disturbance(diagnosis, refitted)
+    unexplained = unexplained or (
         f"No effect in the catalogue explains what is missing: {refitted}; {_where_to_look(diagnosis)}."
     )
     if diagnosis.freed and diagnosis.verdict == "adequate":
@@ -325,6 +326,24 @@ def _change(diagnosis: Diagnosis) -> str:
 
 def _has_terms(diagnosis: Diagnosis) -> bool:
     return any(r.depends_on or r.spectrum for r in diagnosis.remaining)
+
+
+def _hardly_acts(diagnosis: Diagnosis, refitted: str) -> str:
+    """The first sentence where an effect explains most of the residual force, but few predictions change."""
+
+    def share(c: Ranked) -> float:
+        return (c.error_before**2 - c.error_after**2) / max(c.error_before**2 - 1.0, 1e-12)
+
+    found = (c for c in diagnosis.ranking if c.sure == "yes" and c.falls and share(c) > 0.5)
+    first = next((c for c in found if 0.0 <= max(c.falls.values()) < DEFAULT.worth), None)
+    if first is None:
+        return ""
+    return (
+        f"No effect in the catalogue improves predictions enough to matter: {refitted}; {first.effect} "
+        f"lowers the residual from {first.error_before:.2g} to {first.error_after:.2g} times the noise, but "
+        f"no prediction error by more than {max(first.falls.values()):.0%}, too little to establish it: "
+        "record runs in which it would act more."
+    )
 
 
 def _only_disturbance(diagnosis: Diagnosis, refitted: str) -> str:
