@@ -372,6 +372,24 @@ def test_latitude_and_longitude_may_be_in_radians(
     np.testing.assert_allclose(run.channels["x"], north, atol=0.1)
 
 
+@pytest.mark.parametrize("latitude", ["x", "y"])
+def test_latitude_and_longitude_may_be_called_x_and_y(latitude: str) -> None:
+    """In m they would hardly move; which of them is which shows by where the vehicle heads."""
+    t = np.arange(0.0, 120.0, 0.2)
+    psi = 0.04 * t + 0.5 * np.sin(0.1 * t)
+    north, east = (0.2 * np.cumsum(1.5 * f(psi)) for f in (np.cos, np.sin))
+    degrees = {latitude: 63.4 + north / 111_468, "xy".replace(latitude, ""): 10.4 + east / 49_978}
+    table = pl.DataFrame({"t": t, **degrees, "heading": psi, "u": 1.5 + 0.0 * t + 0.01 * np.sin(t)})
+    found = guess_table(table, Path("own.csv"))
+    by_channel = {g.channel: g.entry for g in found.columns}
+    assert f"({latitude} - 63.4" in str(by_channel["x"]["expression"])
+    assert by_channel["psi"]["unit"] == "rad"
+    assert any("if these are degrees: are they?" in question for question in found.asked)
+    assert not any("position would change" in question for question in found.asked)
+    pool = table.with_columns(x=3.0 + 0.002 * pl.Series(north), y=2.0 + 0.002 * pl.Series(east))
+    assert {g.channel: g.column for g in guess_table(pool, Path("own.csv")).columns}["x"] == "x"
+
+
 def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}

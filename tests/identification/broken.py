@@ -31,6 +31,11 @@ def in_degrees(*names: str) -> Break:
     return write
 
 
+def on_the_globe(latitude: str, longitude: str) -> Break:
+    """Latitude and longitude, degrees, as x and y in one order or the other."""
+    return lambda c: _with(c, **{latitude: 63.4 + c["x"] / 111_468, longitude: 10.4 + c["y"] / 49_978})
+
+
 def enu_position(c: Mapping[str, np.ndarray]) -> Columns:
     """East, north, up."""
     return _with(c, x=c["y"], y=c["x"], z=-c["z"])

@@ -16,6 +16,7 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.findings import Finding, percent
+from undertow.identification.logs.guess_clock import are_degrees
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Curve, Propeller
@@ -24,7 +25,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .dynamics import in_other_unit, other_units, rederived
-from .kinematics import Kinematics, cached_test_functions, most_active
+from .kinematics import Kinematics, cached_test_functions, most_active, rms
 from .mistakes import (
     PLAUSIBLE,
     RATES,
@@ -33,6 +34,7 @@ from .mistakes import (
     Explanation,
     Mistake,
     PlausibilitySettings,
+    degrees_of_the_globe,
     likely_time_units,
     names_with_verb,
     reading_mistakes,
@@ -285,7 +287,14 @@ def impossible(
 ) -> Explanation | None:
     """Motion that no vehicle of this mass, thrust and size can have; None if there is none."""
     check = _PlausibilityCheck(vehicle, list(runs), mapping, kinematics, PLAUSIBLE)
-    return check.by_curves() or check.by_force() or check.by_size() or check.by_angles() or check.by_limits()
+    return (
+        check.by_place()
+        or check.by_curves()
+        or check.by_force()
+        or check.by_size()
+        or check.by_angles()
+        or check.by_limits()
+    )
 
 
 _ByKey = dict[tuple[str, str], Response]
@@ -370,6 +379,15 @@ class _PlausibilityCheck:
         for names, factor in (one | everything).items():
             if _within(factor, self.settings.command):
                 yield scaled_commands(names, factor)
+
+    # --- place -----------------------------------------------------------------------------------
+    def by_place(self) -> Explanation | None:
+        """A place that hardly changes in m, as one in degrees does; the vehicle heads where it moves."""
+        known = [*degrees_of_the_globe(self.mapping, self.runs)]
+        if not known or not all(are_degrees(run.t, run.channels) for run in self.runs):
+            return None
+        found = sorted(known, key=lambda m: sum(rms(run.known(["v"])) for run in self.without(m)))
+        return Explanation(found[0], f"{found[0].clause}: in m, the vehicle would hardly move", {}, found[1:])
 
     # --- size ------------------------------------------------------------------------------------
     def by_size(self) -> Explanation | None:

@@ -14,6 +14,7 @@ from undertow.identification.logs.guess_names import position_axes
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
     SECONDS,
+    Column,
     Edit,
     Edits,
     LogMapping,
@@ -22,10 +23,12 @@ from undertow.identification.logs.mapping import (
     column_of,
     edited,
     frames_edits,
+    metres_per_degree,
     reassigned,
     swap_attitude,
     swap_body,
     swap_position,
+    turned_name,
     velocity_to_body,
     velocity_to_earth,
 )
@@ -304,6 +307,38 @@ def _in_unit(kind: str, mapping: LogMapping, names: tuple[str, ...], length: str
     return Mistake(kind, what, scaling(factors), in_units(units))
 
 
+def degrees_of_the_globe(mapping: LogMapping, runs: Sequence[Run]) -> Iterator[Mistake]:
+    """Latitude and longitude in degrees, read as metres; either of them as x."""
+    columns = [column_of(mapping, n) for n in "xy"]
+    if not (measured(runs, "x") and measured(runs, "y")):
+        return
+    if any(n in mapping.channels or c != Column(channel=c.channel, unit=c.unit) for n, c in columns):
+        return
+    for names in (("x", "y"), ("y", "x")):
+        logged = [np.concatenate([run.channels[n] for run in runs]) for n in names]
+        first = [float(values[np.isfinite(values)][0]) for values in logged]
+        if np.nanmax(np.abs(logged[0])) > 90.0 or np.nanmax(np.abs(logged[1])) > 360.0:
+            continue
+        places = [*zip("xy", names, first, metres_per_degree(first[0]), strict=True)]
+
+        def undo(run: Run, places: list[tuple[str, str, float, float]] = places) -> Run:
+            return with_channels(run, {n: (run.channels[f] - d) * s for n, f, d, s in places})
+
+        def edits(m: LogMapping, places: list[tuple[str, str, float, float]] = places) -> Edits:
+            position = m.frames.position
+            return tuple(
+                Edit(
+                    "columns",
+                    column_of(m, f)[0],
+                    {"channel": turned_name(n, position), "scale": s, "offset": -d * s},
+                )
+                for n, f, d, s in places
+            )
+
+        which = f"{names[0]} is the latitude and {names[1]} the longitude"
+        yield Mistake("length_unit", f"{which} in degrees, read as m", undo, edits)
+
+
 ANGLES, RATES = ("phi", "theta", "psi"), ("p", "q", "r")
 _SWAPS: dict[str, Callable[[Mapping[str, Array]], Channels]] = {
     "position": swap_position,
@@ -323,7 +358,8 @@ def reading_mistakes(mapping: LogMapping, runs: Sequence[Run]) -> list[Mistake]:
     moving = {n for n in (*POSE, *VELOCITY) if measured(runs, n) and changes(runs, n)}
     # North taken for east leaves no north where only one of them was logged: that cannot be tried.
     few = [run.head(2) for run in runs]
-    known = (mistake for kind in KINDS for mistake in kind(mapping, moving))
+    known = [mistake for kind in KINDS for mistake in kind(mapping, moving)]
+    known += degrees_of_the_globe(mapping, runs)
     complete = [m for m in known if all(m.undo(run).channels.keys() >= run.channels.keys() for run in few)]
     return [m for m in complete if m.id != "radians_for_degrees" or not _upside_down(m, runs)]
 

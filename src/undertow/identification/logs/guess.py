@@ -18,7 +18,7 @@ from undertow.model.units import PULSES, scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import clock_by_motion, clock_of, columns_of, times_of_rows
+from .guess_clock import are_degrees, clock_by_motion, clock_of, columns_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -26,6 +26,7 @@ from .guess_frames import (
     axes_of,
     formulas,
     in_formula,
+    least_unexplained_shares,
     place_of,
     quaternion_in,
     rate_of_heading,
@@ -115,14 +116,14 @@ def guess_table(
     motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
-    read = _motions(motion, names, data, flags, t)
+    motion, globe, place = _fixes(motion, data, dead, t)
+    fixed = {channel: values for channel, (_, values) in place.items()}
+    read = _motions(motion, names, data, flags, (t, fixed))
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
-    globe, place = _fixes({} if {"x", "y"} & {*motion} else data, dead)
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
-    known |= {channel: values for channel, (_, values) in place.items()}
-    axes = axes_of(known | attitude, t, along_earth=along_earth)
+    axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _by_fixes(globe, place, data, flags)
     read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
@@ -261,12 +262,35 @@ def _buoyancy_engine(names: Sequence[Name], vehicle: Vehicle | None) -> list[Gue
     return _computed([column], {"B_net": f"{force:.6g} * {in_formula(column)}"}, "N", _PUMPED)
 
 
-def _fixes(data: Mapping[str, Array], dead: set[str]) -> tuple[Sequence[str], dict[str, tuple[str, Array]]]:
-    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any."""
-    moved = latitude_and_longitude([c for c in data if c not in dead])
-    globe = moved or latitude_and_longitude(data)
+def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> tuple[str, ...]:
+    """Columns of latitude and longitude in degrees that are called x and y, as heading and speed have it."""
+    x, y = (motion[c].column if c in motion and not motion[c].unit else "" for c in "xy")
+    if not (x and y and are_degrees(t, {"x": data[x], "y": data[y]})):
+        return ()
+    known = {c: data[motion[c].column] for c in ("psi", "u", "v") if c in motion}
+    turns = [known.get("psi", 0.0 * t), np.radians(known.get("psi", 0.0 * t))]
+
+    def unexplained(globe: tuple[str, str]) -> float:
+        place = {c: values for c, (_, values) in place_of(*((n, data[n]) for n in globe)).items()}
+        shares = [least_unexplained_shares(t, {**known, **place, "psi": psi}) for psi in turns if place]
+        return min((share for one in shares for share in one.values()), default=np.inf)
+
+    return min(((y, x), (x, y)), key=unexplained)
+
+
+def _fixes(
+    motion: dict[str, Name], data: Mapping[str, Array], dead: set[str], t: Array
+) -> tuple[dict[str, Name], Sequence[str], dict[str, tuple[str, Array]]]:
+    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any.
+
+    First the columns of the other motions: those of x and y only where they are no latitude and longitude.
+    """
+    globe: Sequence[str] = _globe_called_xy(motion, data, t)
+    motion = {c: n for c, n in motion.items() if n.column not in globe}
+    if not globe and not {"x", "y"} & {*motion}:
+        globe = latitude_and_longitude([c for c in data if c not in dead]) or latitude_and_longitude(data)
     place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
-    return globe if place else (), place
+    return motion, globe if place else (), place
 
 
 def _by_fixes(
@@ -283,13 +307,15 @@ def _by_fixes(
     return [replace(fix, entry=entry) for fix, entry in zip(fixes, entries, strict=True)]
 
 
-def _heading(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> str:
+def _heading(
+    motion: Mapping[str, Name], data: Mapping[str, Array], t: Array, place: Mapping[str, Array]
+) -> str:
     """Unit of the heading: as its name states, else by jumps of a full turn, the position or its range."""
     name = motion.get("psi")
     if name is None or name.unit:
         return name.unit if name else ""
     plain = {c: data[n.column] for c, n in motion.items() if c in ("x", "y", "u", "v")}
-    return unit_of_heading(data[name.column], plain, t) or _unit("psi", data[name.column])[0]
+    return unit_of_heading(data[name.column], {**place, **plain}, t) or _unit("psi", data[name.column])[0]
 
 
 def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
@@ -411,10 +437,11 @@ def _motions(
     names: Sequence[Name],
     data: Mapping[str, Array],
     flags: Mapping[str, Array],
-    t: Array,
+    fixes: tuple[Array, Mapping[str, Array]],
 ) -> list[Guess]:
-    """Entries of pose and velocity, by the columns that mean them."""
-    heading = _heading(motion, data, t)
+    """Entries of pose and velocity, by the columns that mean them; `fixes` are times and places by these."""
+    t, place = fixes
+    heading = _heading(motion, data, t, place)
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
     return _with_common_units(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)

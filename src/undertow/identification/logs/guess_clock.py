@@ -15,7 +15,7 @@ from undertow.typing import Array, Flags
 
 from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
-from .mapping import SECONDS, spacing_of
+from .mapping import SECONDS, metres_per_degree, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import DIGITS_OF_DAY, has_dates, seconds
 
@@ -37,6 +37,7 @@ class ClockSettings:
     even: float = 0.01
     fewest: int = 30  # different times of such a clock from which the first row of each makes a log
     slowest: float = 0.01  # m/s that a logged vehicle exceeds
+    apart: float = 10.0  # distance of latitude and longitude from zero over their change in a log, at least
 
 
 SETTINGS = ClockSettings()
@@ -157,7 +158,7 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
             return 1.0 / SETTINGS.same < pace / max(logged, 1e-12) < SETTINGS.same
         return SETTINGS.slowest < pace < SETTINGS.fastest
 
-    if not pace > 0 or fits(pace):
+    if not pace > 0 or fits(pace) or are_degrees(t, moved):
         return time, t
     known = f"the speed column says {logged:.3g}" if np.isfinite(logged) else "no vehicle is as fast or slow"
     asked = f"in {unit}, the position would change by {pace:.3g} m/s, and {known}"
@@ -169,6 +170,15 @@ def clock_by_motion(time: Guess, t: Array, moved: Mapping[str, Array]) -> tuple[
     asked += f": read in {better}, in which it changes by {others[better]:.3g} m/s: is it?"
     scale = SECONDS[better] / SECONDS[unit]
     return Guess(time.column, {**time.entry, "unit": better}, asked), t * scale
+
+
+def are_degrees(t: Array, moved: Mapping[str, Array]) -> bool:
+    """Whether x and y, read in m, change too slowly for a vehicle, and are a place in degrees."""
+    pace, place = _pace(t, moved), [moved[n][np.isfinite(moved[n])] for n in "xy" if n in moved]
+    if not SETTINGS.slowest < metres_per_degree(0.0)[0] * pace < SETTINGS.fastest or pace > SETTINGS.slowest:
+        return False
+    apart = all(abs(np.median(a)) > SETTINGS.apart * np.ptp(a) for a in place)
+    return apart and bool(max(np.abs(a).max() for a in place) <= 360.0)
 
 
 def _pace(t: Array, moved: Mapping[str, Array]) -> float:

@@ -83,7 +83,7 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
     if "u" not in channels:
         course = "A vehicle that goes ahead moves where its heading points: does it, with these axes?"
         return Axes(questions=(f"{_WHICH} {course}", _HEADING))
-    left = _best_unexplained_shares(t, channels)
+    left = least_unexplained_shares(t, channels)
     if len(left) < 2:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
@@ -95,7 +95,7 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
     return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes: is that right?", *doubts))
 
 
-def _best_unexplained_shares(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
+def least_unexplained_shares(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:
     """Share of the change of position that velocities leave unexplained, by possible axes."""
     # Over the one of the times in the settings with the smallest share: long where the position is noisy.
     found = [_unexplained_shares(seconds, t, channels) for seconds in SETTINGS.over]
@@ -134,7 +134,7 @@ def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
         return ""
     units = {"rad": psi, "deg": np.radians(psi)}
     left = {
-        unit: min(_best_unexplained_shares(t, {**channels, "psi": values}).values(), default=1.0)
+        unit: min(least_unexplained_shares(t, {**channels, "psi": values}).values(), default=1.0)
         for unit, values in units.items()
     }
     best, other = sorted(left, key=lambda unit: left[unit])
