@@ -1114,13 +1114,15 @@ def test_a_column_called_like_a_thruster_is_its_command_and_no_motion() -> None:
     assert "w" in {g.channel for g in guess_table(table, Path("log.csv")).columns}
 
 
-def test_dates_in_another_order_are_named_with_what_to_do(tmp_path: Path) -> None:
-    """Day or month first: the log does not say."""
+def test_dates_whose_year_comes_last_are_a_clock(tmp_path: Path) -> None:
+    """Day or month first: within a day it makes no difference."""
     rows = [f"03/11/2025 09:13:{k:02} +00:00,{abs(k - 20)}" for k in range(40)]
     (tmp_path / "dive.csv").write_text("\n".join(["Ts,Depth", *rows]))
-    with pytest.raises(
-        UndertowError, match=r"time '03/11/2025 09:13:00 \+00:00' in row 1 is not an ISO 8601"
-    ):
+    guessed = guess_mapping(tmp_path / "dive.csv")
+    assert guessed.time.entry == {"column": "Ts", "unit": "iso"}
+    assert read_log(tmp_path / "dive.csv", guessed.meaning).t == pytest.approx(np.arange(40.0))
+    (tmp_path / "dive.csv").write_text("\n".join(["Ts,Depth", *rows, "13/13/2025 09:14:00,1"]))
+    with pytest.raises(UndertowError, match=r"time '13/13/2025 09:14:00' in row 41 is not an ISO 8601"):
         guess_mapping(tmp_path / "dive.csv")
 
 

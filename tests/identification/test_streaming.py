@@ -223,6 +223,19 @@ def test_dates_in_parts_count_from_the_first_of_the_log(tmp_path: Path, name: st
     np.testing.assert_array_equal(np.concatenate([p.t for p in parts]), read_log(path, mapping).t)
 
 
+def test_dates_that_are_read_in_another_order_from_part_to_part_are_refused(tmp_path: Path) -> None:
+    """12 November, month first; 13 November shows only in the second part that the day is not 11."""
+    table = long_log(500)
+    times = pl.datetime(2025, 11, 12, 23, 59) + pl.duration(milliseconds=pl.col("t") * 1e3)
+    table = table.with_columns(t=times.dt.strftime("%m/%d/%Y %H:%M:%S%.3f"))
+    path = written(table, tmp_path / "long.csv")
+    mapping = LogMapping.model_validate({"time": {"unit": "iso"}})
+    assert np.all(np.diff(read_log(path, mapping).t) > 0)
+    for overlap in (0, 60):
+        with pytest.raises(UndertowError, match="time column 't' goes back"):
+            list(LongLog(path, mapping, ("tau_X",)).parts(200, overlap))
+
+
 def test_reports_now_and_then_are_in_parts_what_they_are_in_the_whole(tmp_path: Path) -> None:
     table = long_log(3_000)
     held = table["u"].gather(np.arange(3_000) // 6 * 6)

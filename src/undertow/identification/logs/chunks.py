@@ -114,6 +114,9 @@ class LongLog:
                 later = self._later(t, latest)
                 table, t, lost = table.filter(later), t[later], int(np.sum(~later))
                 latest = float(np.fmax(latest, np.fmax.reduce(t, initial=-np.inf)))
+            elif len(t):  # day and month of dates may be read in another order than before
+                self._later(t, latest)
+                latest = float(t[0])
             inside = t[(t >= low) & (t <= high)]
             if len(inside) > 1:
                 before: dict[str, float] = {}  # last values of all channels before these rows

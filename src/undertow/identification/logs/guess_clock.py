@@ -13,11 +13,12 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
+from .dates import DIGITS_OF_DAY
 from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
 from .mapping import SECONDS, metres_per_degree, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
-from .table import DIGITS_OF_DAY, has_dates, seconds
+from .table import has_dates, seconds
 
 
 @dataclass(frozen=True)

@@ -108,8 +108,8 @@ class Time(_Strict):
     """The time column."""
 
     column: str = "t"  # name of the time column
-    # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"`` for dates, and for times of
-    # day such as 17:28:59 or 172859.
+    # ``"s"``, ``"ms"``, ``"ns"``, ``"min"``, ``"h"``, ``"day"`` … or ``"iso"`` for dates (also 31/12/2025 or
+    # 12/31/2025, whichever fits the log), and for times of day such as 17:28:59 or 172859.
     unit: str = "s"
     # Column of the nanoseconds that are added, where a stamp stands in two columns (``stamp.sec``,
     # ``stamp.nanosec``).

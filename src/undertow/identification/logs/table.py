@@ -31,6 +31,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside, sha256_of
 from undertow.model.units import is_unit, same_unit
 
+from .dates import DATE, as_iso
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -629,7 +630,7 @@ def seconds(
     """
     stamps = _as_text(table[name])
     if stamps.dtype == pl.String:
-        stamps = _parsed(padded(stamps), where)
+        stamps = _parsed(stamps, where)
     if not stamps.dtype.is_temporal():
         raise UndertowError(
             f"{where}: time column {name!r} holds {stamps.dtype}, not ISO 8601 time stamps: give its unit in "
@@ -648,7 +649,7 @@ def seconds(
 def padded(stamps: pl.Series) -> pl.Series:
     """Texts of dates with zeros before the fraction of a second, where time then goes back less often."""
     # Some loggers write 93 ms and 992 ms as ".93" and ".992".
-    stamps = _as_iso(stamps)
+    stamps = as_iso(stamps)
     parts = stamps.str.extract_groups(_FRACTION).struct
     digits = parts.field("2").str.len_chars()
     if digits.null_count() or digits.min() == digits.max():
@@ -663,27 +664,10 @@ def _steps_back(times: pl.Series) -> int:
     return int((times.diff().dt.total_nanoseconds() < 0).sum() or 0) + times.null_count()
 
 
-# A date whose year comes first means the same whatever is between its numbers.
-_DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"
-_OF_DAY, _THREE = r"^(\d{1,2}):(\d{2}:\d{2}(?:\.\d+)?)$", r"T0(\d{2}):"
-DIGITS_OF_DAY = r"^(\d{1,2})(\d{2})(\d{2}(?:\.\d+)?)$"
-"""Hours, minutes and seconds side by side, as GPS receivers write them."""
-_AFTER_SECONDS = r"^(\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2})[,:](\d+)"
-
-
-def _as_iso(stamps: pl.Series) -> pl.Series:
-    """Texts of dates with the signs of ISO 8601 between their numbers."""
-    stamps = stamps.str.strip_chars().str.replace(_DATE, "$1-$2-${3}T$4")
-    stamps = stamps.str.replace(DIGITS_OF_DAY, "$1:$2:$3")
-    # The time of day alone counts from midnight.
-    stamps = stamps.str.replace(_OF_DAY, "1970-01-01T0$1:$2").str.replace(_THREE, "T$1:")
-    return stamps.str.replace(_AFTER_SECONDS, "$1.$2")
-
-
 def has_dates(column: pl.Series) -> bool:
     """Tell whether the first text of a column is a date with the time of day."""
     first = column.drop_nulls().first() if column.dtype == pl.String else None
-    return first is not None and bool(_as_iso(pl.Series([str(first)])).str.contains(_DATE)[0])
+    return first is not None and bool(as_iso(pl.Series([str(first)])).str.contains(DATE)[0])
 
 
 def lacking_zeros(table: pl.DataFrame, name: str) -> list[str]:
@@ -691,7 +675,7 @@ def lacking_zeros(table: pl.DataFrame, name: str) -> list[str]:
     stamps = _as_text(table[name])
     if stamps.dtype != pl.String:
         return []
-    changed = (padded(stamps) != _as_iso(stamps)).arg_true()
+    changed = (padded(stamps) != as_iso(stamps)).arg_true()
     if not len(changed):
         return []
     return [
@@ -709,7 +693,7 @@ def _tick(kind: pl.DataType) -> float:
 
 def _parsed(stamps: pl.Series, where: str) -> pl.Series:
     try:
-        parsed = stamps.str.strip_chars().str.to_datetime(time_unit="ns", strict=False)
+        parsed = padded(stamps).str.to_datetime(time_unit="ns", strict=False)
     except pl.exceptions.ComputeError:  # polars found no date at all
         parsed = pl.Series([None] * len(stamps), dtype=pl.Datetime("ns"))
     odd = (parsed.is_null() & stamps.is_not_null()).arg_true()
