@@ -215,6 +215,8 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("torque_kNm", "", "kN m"),
         ("sog_kn", "", "knot"),
         ("SOG [kn]", "", "knot"),
+        ("cap", "psi", ""),
+        ("battery_cap", "", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -693,7 +695,7 @@ def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
 
 
-@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_groundspeed_mps"])
+@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_groundspeed_mps", "gps_spd", "sog_1"])
 def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_east(
     speed: str, tmp_path: Path
 ) -> None:

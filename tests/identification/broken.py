@@ -36,6 +36,12 @@ def on_the_globe(latitude: str, longitude: str) -> Break:
     return lambda c: _with(c, **{latitude: 63.4 + c["x"] / 111_468, longitude: 10.4 + c["y"] / 49_978})
 
 
+def time_of_day(c: Mapping[str, np.ndarray]) -> Columns:
+    """Times from 12:59:40 on as hours, minutes and seconds in six digits."""
+    t = 46_780.0 + c["t"]
+    return _with(c, t=10_000.0 * (t // 3600.0) + 100.0 * (t % 3600.0 // 60.0) + t % 60.0)
+
+
 def enu_position(c: Mapping[str, np.ndarray]) -> Columns:
     """East, north, up."""
     return _with(c, x=c["y"], y=c["x"], z=-c["z"])

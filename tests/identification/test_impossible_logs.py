@@ -115,6 +115,8 @@ REFUSED: list[tuple[str, str, Break, tuple[str, ...], str, str]] = [
     ("world", "mini-auv", broken.north_east_velocity, ALL, "north, east, down", 'velocity = "NED"'),
     ("t in ms", "usv", scaled("t", by=1e3), ALL, "the times are in ms", '[time] unit = "ms"'),
     ("t in min", "rov", scaled("t", by=1 / 60), ALL, "the times are in min", '[time] unit = "min"'),
+    ("hhmmss", "usv", broken.time_of_day, ALL, "(hhmmss), read as s: 1259", '[time] unit = "iso"'),
+    ("hhmmss", "rov", broken.time_of_day, NO_VELOCITY, "followed by 130000", '[time] unit = "iso"'),
     # both wrong alike, one of them not measured, or commands: the force that the motion needs
     ("all mm", "usv", both(_speeds(1e3), _positions(1e3)), ALL, "in mm and mm/s, read as m", '"mm/s"'),
     ("all cm", "rov", both(_speeds(1e2), _positions(1e2)), ALL, "in cm and cm/s, read as m", '"cm/s"'),
@@ -298,6 +300,7 @@ DOCTORED = [
     ("psi, r in deg", "usv", broken.in_degrees("psi", "r"), "degrees_for_radians"),
     ("one command", "usv", scaled("f1", by=1e3), "command_unit"),
     ("all mm", "usv", both(_speeds(1e3), _positions(1e3)), "motion_unit"),
+    ("hhmmss", "usv", broken.time_of_day, "time_unit"),
 ]
 
 

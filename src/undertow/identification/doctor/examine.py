@@ -237,6 +237,8 @@ class _Examiner:
         self.runs, self.kinematics = runs, Kinematics(runs, self.vehicle)
 
     def check_samples(self) -> None:
+        if stamps := mistakes.times_of_day(self.runs, self.mapping):
+            self._undo(stamps, apply=self._rederived, impossible=True)
         self.findings += sampling(self.runs, self._names, self.mapping)
         if any(f.id == "disorder" and f.severity == "mistake" for f in self.findings):
             self._add_edits(DROP)

@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.findings import Finding
+from undertow.identification.logs.guess_clock import is_time_of_day, seconds_of_day
 from undertow.identification.logs.guess_names import position_axes
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
@@ -234,6 +235,24 @@ def other_time_unit(kinematics: Kinematics, runs: Sequence[Run], mapping: LogMap
     if found is None or any(abs(np.log(ratio / d)) < abs(np.log(ratio / found[1])) for d in degrees):
         return None
     return found[0]
+
+
+def times_of_day(runs: Sequence[Run], mapping: LogMapping) -> Explanation | None:
+    """Hours, minutes and seconds side by side, where a minute seems to last a hundred seconds."""
+    offset, plain = mapping.time.offset, mapping.time.unit == "s" and mapping.time.interval is None
+    clocks = [run.t - offset for run in runs]
+    if not plain or not all(t[0] >= 10_000.0 and is_time_of_day(t) for t in clocks):
+        return None
+    mistake = Mistake(
+        "time_unit",
+        "the times are hours, minutes and seconds side by side (hhmmss), read as s",
+        lambda run: replace(run, t=seconds_of_day(run.t - offset) + offset),
+        lambda m: (Edit("time", "unit", "iso"),),
+    )
+    last = max(range(len(runs)), key=lambda k: float(np.max(np.diff(clocks[k]))))
+    at = int(np.argmax(np.diff(clocks[last])))
+    text = f"{clocks[last][at]:.9g} is followed by {clocks[last][at + 1]:.9g}"
+    return Explanation(mistake, f"{mistake.clause}: {text}", {})
 
 
 def likely_time_units(runs: Sequence[Run], mapping: LogMapping) -> Iterator[tuple[Mistake, float]]:

@@ -95,7 +95,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     found = _clock(table, data, where)
     if isinstance(found, Guess):
         return found
-    digits = found in data and table[found].dtype == pl.String and _is_time_of_day(table[found])
+    digits = found in data and table[found].dtype == pl.String and _are_six_digits(table[found])
     dated = digits or found not in data
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
@@ -118,14 +118,25 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     return Guess(found, entry, " ".join(asked))
 
 
-def _is_time_of_day(column: pl.Series) -> bool:
-    """Whether texts are hours, minutes and seconds side by side, which 172900 after 172859 shows."""
-    parts = column.drop_nulls().str.strip_chars().str.extract_groups(DIGITS_OF_DAY).struct.unnest()
-    hour, minute, second = (parts[n].cast(pl.Float64, strict=False).to_numpy() for n in "123")
-    if len(hour) < 2 or not np.all((hour < 24.0) & (minute < 60.0) & (second < 60.0)):
+def _are_six_digits(column: pl.Series) -> bool:
+    """Whether texts are times of day, written as digits side by side."""
+    texts = column.drop_nulls().str.strip_chars()
+    numbers = texts.cast(pl.Float64, strict=False).to_numpy()
+    return bool(texts.str.contains(DIGITS_OF_DAY).all()) and is_time_of_day(numbers)
+
+
+def is_time_of_day(numbers: Array) -> bool:
+    """Whether numbers are hours, minutes and seconds side by side, which 172900 after 172859 shows."""
+    sound = (numbers >= 0.0) & (numbers < 240000.0) & (numbers % 10000.0 < 6000.0) & (numbers % 100.0 < 60.0)
+    if len(numbers) < 2 or not sound.all():
         return False
-    as_number, as_time = ((base * base * hour + base * minute + second) for base in (100.0, 60.0))
-    return bool(np.max(np.diff(as_time)) < np.max(np.diff(as_number)))
+    return bool(np.max(np.diff(seconds_of_day(numbers))) < np.max(np.diff(numbers)))
+
+
+def seconds_of_day(numbers: Array) -> Array:
+    """Seconds since midnight of hours, minutes and seconds side by side."""
+    hours, minutes = numbers // 10000.0, numbers % 10000.0 // 100.0
+    return 3600.0 * hours + 60.0 * minutes + numbers % 100.0
 
 
 def absolute_times(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:

@@ -38,6 +38,7 @@ _EARTH = {"n": 0, "north": 0, "e": 1, "east": 1, "d": 2, "down": 2, "up": 2}
 _EARTH_SPEEDS = {"vn": 0, "ve": 1, "vd": 2, "vu": 2}
 _TURNS = {
     "phi": 0, "roll": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2, "hdg": 2, "compass": 2,
+    "cap": 2,  # French
 }  # fmt: skip
 _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
@@ -53,7 +54,7 @@ _SOG = {"sog", "over", "ground"}
 _STW = {"stw", "through", "water"}
 _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
-_OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "linear", "twist"}
+_OF_SPEED = {"vel", "velo", "velocity", "velocities", "speed", "speeds", "spd", "linear", "twist"}
 _OF_RATE = {"rate", "rates", "dot", "gyr", "gyro", "angular", "omega", "angvel", "rotational"}
 _ALONG = {*(w for w, place in _MOVES.items() if place < 3), *_OF_SPEED, *_EARTH_SPEEDS, "sog"}
 _OF_VECTOR = {*_OF_TURN, *_OF_SPEED, *_OF_RATE, "position", "pos"}
@@ -104,7 +105,7 @@ _ALSO = {
 # Other words for those of a logged quantity that drives an effect.
 _SENSED = {
     "apparent": {"relative", "rel", "app"},
-    "speed": {*_OF_SPEED, "spd"},
+    "speed": _OF_SPEED,
     "angle": {"dir", "direction", "ang"},
     "from": {"dir", "direction", "angle", "ang"},
     "voltage": {"volt", "volts", "battery", "batt", "vbat"},
@@ -197,7 +198,7 @@ class Name:
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
         wanted = WANTED - _HEIGHTS if self.is_height else WANTED
-        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE} or self.force or self.of_header:
+        if set(self.words) & {*wanted, *_DRIVES, *_CONSUMED, *_ABOUT_ELSE} or self.force or self.of_header:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
@@ -208,8 +209,13 @@ class Name:
     def is_speed(self) -> bool:
         """Whether it is the speed of the vehicle along no particular axis, such as that over ground."""
         words = {*self.words}
-        others = words - {*_OF_SPEED, *_PLAIN, *_RANK, *(_STW if self.is_through_water else _SOG)}
-        is_speed = bool(words & {"speed", "velocity", "vel", "sog", "stw"}) and not others
+        others = {w for w in words if not w.isdigit()} - {
+            *_OF_SPEED,
+            *_PLAIN,
+            *_RANK,
+            *(_STW if self.is_through_water else _SOG),
+        }
+        is_speed = bool(words & {"speed", "spd", "velocity", "vel", "sog", "stw"}) and not others
         return is_speed and self.unit in {"", *_SPEEDS}
 
     @property
