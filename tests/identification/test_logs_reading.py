@@ -21,7 +21,7 @@ from hypothesis.extra.numpy import arrays
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.chunks import LongLog
-from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.mapping import LogMapping, mapping_beside
 from undertow.identification.logs.opening import refuse_constant
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.identification.logs.table import WHOLE
@@ -161,6 +161,18 @@ def test_dates_and_epochs_count_from_the_first_sample(log, stamps, unit):
     run = log(text, {"time": {"unit": unit}})
     np.testing.assert_allclose(run.t, [0, 0.25, 0.75], atol=1e-6)
     assert any("time starts at" in note for note in run.notes)
+
+
+def test_a_date_in_the_name_of_a_file_belongs_to_the_name_of_its_run(tmp_path):
+    first, second, packed = (tmp_path / f"dive.2024-05-{end}" for end in ("01.csv", "02.csv", "03.csv.gz"))
+    first.write_text(PLAIN)
+    second.write_text(PLAIN)
+    packed.write_bytes(gzip.compress(PLAIN.encode()))
+    names = [read_log(path).name for path in (first, second, packed)]
+    assert names == ["dive.2024-05-01", "dive.2024-05-02", "dive.2024-05-03"]
+    (tmp_path / "dive.2024-05-02.toml").write_text('schema = "undertow/mapping/1"\ndescription = "second"')
+    assert mapping_beside(first) is None
+    assert mapping_beside(second).description == "second"
 
 
 def test_dates_of_a_parquet_file_need_no_unit(tmp_path):

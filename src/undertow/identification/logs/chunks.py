@@ -20,7 +20,7 @@ from undertow.errors import UndertowError
 
 from . import opening
 from .formats.fieldlog import Window
-from .mapping import CommandPolicy, LogMapping
+from .mapping import CommandPolicy, LogMapping, name_of_log
 from .opening import FieldLogs
 from .reading import decimated, run_of_table
 from .run import Run, later_than_before
@@ -79,7 +79,7 @@ class LongLog:
     @property
     def name(self) -> str:
         """Name of the log, with the number of the segment."""
-        return self.path.name.split(".")[0] + (f"-{self.stretch}" if self.stretch else "")
+        return name_of_log(self.path) + (f"-{self.stretch}" if self.stretch else "")
 
     @cached_property
     def sha256(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -269,7 +270,12 @@ def mapping_beside(log: Path) -> LogMapping | None:
 
 def place_beside(log: Path) -> Path:
     """Default location of the mapping file of a log."""
-    return log.parent / f"{log.name.split('.')[0]}.toml"
+    return log.parent / f"{name_of_log(log)}.toml"
+
+
+def name_of_log(path: Path) -> str:
+    """Name of a log: that of its file without the ending, which begins with a letter, and without .gz."""
+    return re.sub(r"\.[A-Za-z]\w*$", "", path.name.removesuffix(".gz"))
 
 
 def mapping_text(mapping: LogMapping) -> str:

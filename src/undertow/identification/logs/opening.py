@@ -21,7 +21,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .formats.fieldlog import FieldLog, Window, open_field_log, readable
-from .mapping import Channel, Column, Held, LogMapping, mapping_text, turned_name
+from .mapping import Channel, Column, Held, LogMapping, mapping_text, name_of_log, place_beside, turned_name
 from .run import MEASURABLE, SERIES, UNITS, Run, held_together, last_known, shared_rows
 from .table import (
     WHOLE,
@@ -238,7 +238,8 @@ def with_distinct_names(runs: list[Run]) -> list[Run]:
 
 
 def _ending(run: Run) -> str:
-    return "".join(Path(run.source).suffixes)
+    path = Path(run.source)
+    return path.name.removeprefix(name_of_log(path))
 
 
 # --- opening --------------------------------------------------------------------------------------
@@ -404,7 +405,7 @@ def save_log(run: Run, out: Path) -> Path | None:
     """
     measured = {name: run.reports(name) for name in run.channels if name not in run.derived}
     table = pl.DataFrame({"t": run.t, **measured}).fill_nan(None)
-    stated, beside = _stated_mapping(run), out.with_suffix(".toml")
+    stated, beside = _stated_mapping(run), place_beside(out)
     with together():
         write_whole(out, table.write_csv())
         if stated is not None:

@@ -38,7 +38,16 @@ from undertow.typing import Array, Flags, Index, Progress
 
 from . import opening
 from .formats.fieldlog import Window, one_run
-from .mapping import Channel, Column, CommandPolicy, Held, LogMapping, attitude_of, mapping_beside
+from .mapping import (
+    Channel,
+    Column,
+    CommandPolicy,
+    Held,
+    LogMapping,
+    attitude_of,
+    mapping_beside,
+    name_of_log,
+)
 from .opening import FieldLogs
 from .pose_velocity import velocities_from_pose
 from .run import (
@@ -287,7 +296,7 @@ def run_of_table(
         common = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _in_ned_frd(common.channels, mapping, where)
     run = Run(
-        name=path.name.split(".")[0],
+        name=name_of_log(path),
         t=common.t,
         channels=channels,
         reported=_reported(common.reported, mapping, channels),
