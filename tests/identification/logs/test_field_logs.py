@@ -98,6 +98,19 @@ def test_moos_counts_east_north_and_clockwise(tmp_path: Path) -> None:
     assert run.channels["psi"] == pytest.approx(np.pi / 2)
 
 
+def test_texts_of_moos_with_several_numbers_are_as_many_variables(tmp_path: Path) -> None:
+    """The report on the vehicle itself is its motion; those on others are told apart by their names."""
+    line = "{0} NODE_REPORT_LOCAL p NAME=a,TYPE=auv,X={0},Y=-7.5,SPD=1e-1,HDG=90,MODE=1.2.3\n"
+    line += "{0} NODE_REPORT p NAME=b,X=50\n{0} NODE_REPORT p NAME=c,X=60\n"
+    path = _alog(tmp_path, "".join(line.format(k) for k in range(4)))
+    run, log = read_log(path), read_field_log(path)
+    assert run.channels["y"] == pytest.approx(np.arange(4.0))
+    assert (run.channels["x"][0], run.channels["u"][0]) == (-7.5, 0.1)
+    assert run.channels["psi"] == pytest.approx(np.pi / 2)
+    assert {"NODE_REPORT[b].X", "NODE_REPORT[c].X"} < {*log.series}
+    assert "NODE_REPORT_LOCAL.MODE" not in log.series
+
+
 def test_python_reads_a_vehicles_own_log_as_the_commands_do(tmp_path: Path) -> None:
     path = _alog(tmp_path, "".join(f"{k} NAV_X a {k}\n{k} NAV_Y a 7\n" for k in range(5)))
     direct, shown = read_log(path), ut.read_log(path)

@@ -94,7 +94,7 @@ _LETTERED = {f"{kind}{axis}": 3 * (kind != "f") + i for kind in "fmt" for axis, 
 _ALSO = {
     "rudder": ("delta", "rud"),
     "prop": ("propeller", "thrust", "rpm", "rev"),
-    "propeller": ("prop", "rpm", "rev"),
+    "propeller": ("prop", "rpm", "rev", "thrust"),
     "port": ("ps", "left"),
     "starboard": ("stbd", "stb", "sb", "right"),
     "bow": ("bt",),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+import re
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +13,23 @@ from undertow.identification.logs.mapping import Column, Frames, LogMapping
 
 from .fieldlog import FieldLog, Format, Series
 
-# Variables of pNodeReporter and uSimMarine; MOOS counts x to east and y to north, heading clockwise from
-# north in degrees, depth downwards.
+# Variables of uSimMarine and the like, and the report of pNodeReporter on its own vehicle; MOOS counts x to
+# east and y to north, heading clockwise from north in degrees, depth downwards.
 _KNOWN = {
-    "NAV_X": Column(channel="x"),
-    "NAV_Y": Column(channel="y"),
-    "NAV_DEPTH": Column(channel="z", scale=-1.0),  # ENU counts upwards
-    "NAV_HEADING": Column(channel="psi", unit="deg", wrapped=True),
-    "NAV_SPEED": Column(channel="u"),
+    Column(channel="x"): ("NAV_X", "NODE_REPORT_LOCAL.X"),
+    Column(channel="y"): ("NAV_Y", "NODE_REPORT_LOCAL.Y"),
+    Column(channel="z", scale=-1.0): ("NAV_DEPTH", "NODE_REPORT_LOCAL.DEP"),  # ENU counts upwards
+    Column(channel="psi", unit="deg", wrapped=True): ("NAV_HEADING", "NODE_REPORT_LOCAL.HDG"),
+    Column(channel="u"): ("NAV_SPEED", "NODE_REPORT_LOCAL.SPD"),
 }
 _LAST = "value"
+_NUMBERS = re.compile(r"(?:^|,)\s*([A-Za-z_]\w*)\s*=\s*([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?=,|$)")
+"""Numbers in a text such as "NAME=henry,X=1.5,Y=-20"."""
+_WHO = re.compile(r"(?:^|,)\s*NAME\s*=\s*([^,]+)")  # reports on other vehicles have the same variable
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
-    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    found: dict[tuple[str, str, str], list[tuple[float, float]]] = defaultdict(list)
     damaged = 0
     with path.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
@@ -33,23 +37,37 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
                 continue
             words = line.split(None, 3)
             try:
-                sample = float(words[0]), float(words[3])
+                t, who, numbers = float(words[0]), _WHO.search(words[3]), _numbers(words[3])
             except IndexError:
                 damaged += len(words) in (1, 2)  # else an empty text, or the end of one with a line break
             except ValueError:
-                continue  # a text, which no channel can be
+                continue  # the rest of a text with a line break
             else:
-                found[words[1]].append(sample)
+                for key, number in numbers.items():
+                    found[words[1], who[1] if who else "", key].append((t, number))
     if not found:
         raise UndertowError(f"log {path} contains no numbers: check that it is complete")
-    columns = {name: np.array(rows).T for name, rows in found.items()}
+    vehicles = Counter(name for name, _ in {(name, who) for name, who, _ in found})
+    columns = {
+        f"{name}[{who}]{key}" if vehicles[name] > 1 else f"{name}{key}": np.array(rows).T
+        for (name, who, key), rows in found.items()
+    }
     series = {name: Series(name, t, {_LAST: values}) for name, (t, values) in columns.items()}
+    known = {next((n for n in names if n in series), ""): column for column, names in _KNOWN.items()}
     mapping = LogMapping(
-        columns={f"{n}.{_LAST}": column for n, column in _KNOWN.items() if n in series},
+        columns={f"{name}.{_LAST}": column for name, column in known.items() if name},
         frames=Frames(position="ENU", body="FRD", attitude="NED"),
     )
     notes = (f"truncated lines left out: {damaged}",) if damaged else ()
     return FieldLog(path, FORMAT.name, series, mapping, notes=notes)
+
+
+def _numbers(text: str) -> dict[str, float]:
+    """The number that was published, or those of a text of several, behind a point and their names."""
+    try:
+        return {"": float(text)}
+    except ValueError:
+        return {f".{name}": float(number) for name, number in _NUMBERS.findall(text)}
 
 
 def _accepts(path: Path, head: bytes) -> bool:
