@@ -33,6 +33,9 @@ class CompassSettings:
     # does the same as a deviation, and a speed that varies by a seventh leaves this much.
     distinct: float = 0.02
     certain: float = 6.0  # standard errors
+    # Standard error in any direction, as a share of the deviation, beyond which the headings of the logs do
+    # not tell it from a sensor that is turned.
+    vague: float = 0.5
     smallest: float = 0.035  # rad: a compass that has been adjusted is better than 2 degrees
     # Cosine between what the heading does at rest and what grows with the speed from which one takes away
     # from the other.
@@ -62,7 +65,8 @@ class Deviation:
         """Whether it is too large for a compass that has been adjusted, and for chance."""
         errors = float(self.value @ np.linalg.pinv(self.covariance, hermitian=True) @ self.value) ** 0.5
         large = float(np.hypot(*self.value)) > SETTINGS.smallest
-        return large and errors > SETTINGS.certain and self.explained > SETTINGS.explains
+        vague = float(np.linalg.eigvalsh(self.covariance)[-1]) ** 0.5 > SETTINGS.vague * np.hypot(*self.value)
+        return large and not vague and errors > SETTINGS.certain and self.explained > SETTINGS.explains
 
     @property
     def undo(self) -> Undo:
