@@ -134,6 +134,25 @@ def test_a_flag_tells_a_sensor_that_is_slower_than_its_log(case: Path) -> None:
     assert not [g for g in guessed.columns if g.channel == "v" and "fresh" in g.entry]
 
 
+def test_true_and_false_flag_a_sensor_with_rows_of_its_own(tmp_path: Path) -> None:
+    """Positions that are repeated with False while none is known, beside a compass in other rows."""
+    k = np.arange(900)
+    place, valid = k // 10 * 0.3, k % 10 == 0
+    fixes = pl.DataFrame(
+        {"t": 0.2 * k, "x": place, "y": 0.5 * place, "valid": np.where(valid, "True", "False")}
+    )
+    compass = pl.DataFrame({"t": 0.2 * k + 0.1, "yaw": 40.0 + k % 50, "roll": (358.0 + k % 5) % 360.0})
+    pl.concat([fixes, compass], how="diagonal").sort("t").write_csv(tmp_path / "own.csv")
+    guessed = guess_mapping(tmp_path / "own.csv")
+    entries = {g.channel: g.entry for g in guessed.columns}
+    assert entries["x"]["fresh"] == entries["y"]["fresh"] == "valid"
+    assert entries["phi"]["wrapped"] is True
+    run = read_log(tmp_path / "own.csv", guessed.meaning)
+    assert np.nanmax(np.abs(run.reports("phi"))) == pytest.approx(np.radians(2.0))
+    known = np.isfinite(run.reports("x"))
+    np.testing.assert_allclose(np.diff(run.t[known]), 2.0)
+
+
 def test_what_cannot_be_known_is_asked(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain = {name: pl.col(name) for name in ("t", "psi", "u")}
     off = pl.when(pl.col("t") < 1.0).then(0.0)  # no pulse before the vehicle is armed
@@ -216,6 +235,8 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("sog_kn", "", "knot"),
         ("SOG [kn]", "", "knot"),
         ("cap", "psi", ""),
+        ("distance_r0", "", ""),
+        ("y0", "y", ""),
         ("battery_cap", "", ""),
     ],
 )

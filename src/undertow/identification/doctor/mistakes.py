@@ -39,6 +39,7 @@ from undertow.identification.logs.run import (
     across_jump,
     far_from_usual,
     unwrapped,
+    upright,
     with_reports,
     without_jumps,
 )
@@ -631,7 +632,10 @@ def _turned_in_a_second(run: Run) -> float:
 
 
 def _unwrapped(run: Run, name: str) -> Run:
-    return with_reports(run, {name: without_jumps(run.t, run.reports(name))}) if run.has(name) else run
+    if not run.has(name):
+        return run
+    angle = run.reports(name) if name == "psi" else upright(run.reports(name))
+    return with_reports(run, {name: without_jumps(run.t, angle)})
 
 
 def _full_turns(run: Run, name: str) -> int:

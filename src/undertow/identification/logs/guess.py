@@ -26,6 +26,7 @@ from .guess_frames import (
     axes_of,
     formulas,
     in_formula,
+    is_flag,
     least_unexplained_shares,
     place_of,
     quaternion_in,
@@ -115,7 +116,7 @@ def guess_table(
     motion = _best_columns([n for n in free if n.column not in dead or n.motion(only) not in _MOVED], only)
     motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
-    flags = {name: column for name, column in data.items() if set(np.unique(column)) <= {0.0, 1.0}}
+    flags = {name: column for name, column in data.items() if is_flag(column)}
     motion, globe, place = _fixes(motion, data, dead, t)
     fixed = {channel: values for channel, (_, values) in place.items()}
     read = _motions(motion, names, data, flags, (t, fixed))
@@ -133,7 +134,8 @@ def guess_table(
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
-    questions += [_FLAG.format(f) for f, c in flags.items() if f not in used and len(np.unique(c)) > 1]
+    asked = [f"'{flag}'" for flag in flags if flag not in used | dead]
+    questions += [_FLAG.format(", ".join(asked))] if asked else []
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
@@ -234,8 +236,8 @@ _BLANK = (
     '"hold" above: do they?'
 )
 _FLAG = (
-    "'{0}' is 0 or 1: does it flag new values of a sensor slower than the log? Then give its columns "
-    'fresh = "{0}"'
+    "{} 0 or 1: does it flag the values of a sensor that are new, or valid? Then give the columns of that "
+    "sensor fresh = its name"
 )
 
 
@@ -459,7 +461,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
         unit = "rad/s"
         doubts.append("rps: radians a second, or revolutions?")
     entry: dict[str, object] = {"channel": channel, "unit": unit}
-    if channel == "psi":
+    half = scale_offset("rad", unit)[0] * np.pi if channel in ("phi", "theta") else np.inf
+    if channel == "psi" or float(np.nanmax(values, initial=0.0)) > half:
         entry["wrapped"] = True
     fresh = _fresh(name, values, flags)
     if fresh:

@@ -244,7 +244,7 @@ def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
     for four in zip(names, names[1:], names[2:], names[3:], strict=False):
         columns = [data[n] for n in four]
         one_name = len({_LAST.sub("", n) for n in four}) == 1
-        if not one_name or not _is_unit(columns) or all(map(_is_flag, columns)):
+        if not one_name or not _is_unit(columns) or all(map(is_flag, columns)):
             continue
         # A vehicle in water is about upright: x and y are small. Heading north z is, too: then w is one.
         first, _, third, last = (float(np.nanmean(column**2)) for column in columns)
@@ -256,7 +256,7 @@ def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
 _LAST = re.compile(r"(\d+|[A-Za-z])(?=[^A-Za-z0-9]*$)")  # in which columns of a vector differ
 
 
-def _is_flag(values: Array) -> bool:
+def is_flag(values: Array) -> bool:
     """Whether a column is never anything but zero or one."""
     return bool(np.isin(values[np.isfinite(values)], (0.0, 1.0)).all())
 

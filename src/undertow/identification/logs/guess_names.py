@@ -163,7 +163,7 @@ class Name:
         rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
-        words = [w[:-1] if re.fullmatch(r"[a-z]+0", w) else w for w in words]  # x0, of earth-fixed axes
+        words = [w[:-1] if re.fullmatch("[xyz]0", w) else w for w in words]  # of earth-fixed axes
         compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
         words = _with_dots([part for w, m in compounds for part in (filter(None, m.groups()) if m else (w,))])
         if bracket is not None:

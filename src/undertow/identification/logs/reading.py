@@ -63,6 +63,7 @@ from .run import (
     interpolated_mean,
     later_than_before,
     on_one_clock,
+    upright,
     with_heading_corrected,
     with_report_noise,
     without_jumps,
@@ -293,6 +294,7 @@ def run_of_table(
             cells = opening.computed(table, n, c, mapping, where, commands)
             flag = None if c.fresh is None else numbers(table, c.fresh, mapping, where)
             read[n] = _where_new(cells, flag, own=c.fresh in c.formula.columns, begins=begins)
+        read |= {n: upright(read[n]) for n in ("phi", "theta") if n in read and mapping.jumps(n)}
         common = _on_rows(t, read, sources, mapping, where, before or {})
         channels = _in_ned_frd(common.channels, mapping, where)
     run = Run(

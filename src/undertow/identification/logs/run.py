@@ -334,6 +334,11 @@ def unwrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
+def upright(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A roll or pitch without whole turns: -2 degrees where a sensor that counts from 0 to 360 has 358."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
 def _frozen(data: object) -> NDArray[np.float64]:
     array = np.array(data, dtype=float)
     array.setflags(write=False)

@@ -512,6 +512,7 @@ def _cast(column: pl.Series, mapping: LogMapping) -> tuple[pl.Series, pl.Series]
         return cast, pl.Series(dtype=pl.UInt32)
     cells = _stripped(cells)  # the slow way only where it is needed
     bare = cells.str.extract(_WITH_UNIT, 1) if _unit_of(cells) else cells
+    bare = bare.str.replace("(?i)^true$", "1").str.replace("(?i)^false$", "0")
     cast = bare.cast(pl.Float64, strict=False)
     return cast, (cast.is_null() & cells.is_not_null()).arg_true()
 
