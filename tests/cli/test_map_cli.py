@@ -413,6 +413,25 @@ def test_latitude_and_longitude_may_be_called_x_and_y(latitude: str) -> None:
     assert {g.channel: g.column for g in guess_table(pool, Path("own.csv")).columns}["x"] == "x"
 
 
+@pytest.mark.parametrize(("column", "sign"), [("depth", 1.0), ("height_msl", -1.0), ("depth", -1.0)])
+def test_depth_keeps_its_sign_where_x_is_east_and_y_north(column: str, sign: float, tmp_path: Path) -> None:
+    """A depth, a height, and a depth that is written as a height; the side needs no sideways speed."""
+    t = np.arange(0.0, 120.0, 0.2)
+    psi = 0.04 * t + 0.5 * np.sin(0.1 * t)
+    north, east = (0.2 * np.cumsum(1.5 * f(psi)) for f in (np.cos, np.sin))
+    depth = 5.0 + np.sin(0.1 * t)
+    table = {"t": t, "x": east, "y": north, column: sign * depth, "yaw": psi, "u": 1.5 + 0.01 * np.sin(t)}
+    (tmp_path / "own.csv").write_text(text_of(table))
+    found = guess_mapping(tmp_path / "own.csv")
+    assert found.axes.entry["position"] == "ENU"
+    assert "Hence these axes" in found.axes.questions[0]
+    run = read_log(tmp_path / "own.csv", found.meaning)
+    np.testing.assert_allclose(run.channels["z"], depth, atol=1e-6)
+    np.testing.assert_allclose(run.channels["x"], north, atol=1e-6)
+    asked = any("mostly negative, as no depth is" in question for question in found.asked)
+    assert asked == (column == "depth" and sign < 0)
+
+
 def test_the_place_of_an_origin_is_not_that_of_the_vehicle() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     given = {"origin_lat": 39.9 + 0 * t, "origin_lon": -75.2 + 0 * t, "wp_lat": 39.9 + t, "wp_lon": t}

@@ -59,6 +59,19 @@ def _write(path: Path, columns: Mapping[str, Array]) -> None:
     pl.DataFrame(dict(columns)).write_csv(path)
 
 
+def test_a_depth_beside_positions_east_and_north_keeps_its_sign(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.2)
+    psi = 0.08 * t
+    east, north = (0.3 * np.cumsum(f(psi)) for f in (np.sin, np.cos))
+    _write(
+        tmp_path / "pose.csv", {"t": t, "x": east, "y": north, "yaw": psi, "u": 1.5 + 0.0 * psi + 0.01 * psi}
+    )
+    _write(tmp_path / "ctd.csv", {"t": t + 0.05, "depth": 3.0 + np.sin(0.1 * t)})
+    run = read_log(tmp_path)
+    assert np.nanmin(run.channels["z"]) > 1.9
+    np.testing.assert_allclose(run.channels["x"][:50], np.interp(run.t[:50], t, north), atol=0.05)
+
+
 def test_a_folder_is_one_log_with_every_sample_at_its_own_time(tmp_path: Path) -> None:
     pose, gyro, motor = _folder(tmp_path)
     log = read_field_log(tmp_path)

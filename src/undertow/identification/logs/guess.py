@@ -18,7 +18,7 @@ from undertow.model.units import PULSES, scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import are_degrees, clock_by_motion, clock_of, columns_of, times_of_rows
+from .guess_clock import clock_by_motion, clock_of, columns_of, times_of_rows
 from .guess_frames import (
     Axes,
     Guess,
@@ -27,7 +27,6 @@ from .guess_frames import (
     formulas,
     in_formula,
     is_flag,
-    least_unexplained_shares,
     place_of,
     quaternion_in,
     rate_of_heading,
@@ -49,6 +48,7 @@ from .guess_names import (
     with_axes,
     with_sides,
 )
+from .guess_places import fixes_in
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
 from .table import file_bytes, is_dates, joined_rows, numbers, read_table, texts_in, unit_of_cells
@@ -69,6 +69,7 @@ class GuessSettings:
     flagged: float = 0.9  # share of new values that a flag must announce
     beyond: float = 1.5  # largest normalised command that may be one of the thruster's curve
     pulse: tuple[float, float] = (900.0, 2100.0)  # widths that servos and speed controllers take, us
+    above: float = 0.3  # above the surface by this, m, no vehicle in water is for half of its log
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
 
 
@@ -117,7 +118,7 @@ def guess_table(
     motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if is_flag(column)}
-    motion, globe, place = _fixes(motion, data, dead, t)
+    motion, globe, place = fixes_in(motion, data, dead, t)
     fixed = {channel: values for channel, (_, values) in place.items()}
     read = _motions(motion, names, data, flags, (t, fixed))
     turned = () if {*motion} & {*POSE[3:]} else named or unnamed
@@ -127,7 +128,7 @@ def guess_table(
     axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _by_fixes(globe, place, data, flags)
-    read = [g for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
+    read = [in_axes(g, axes) for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += _driven(driving, data, vehicle)
     engine = _buoyancy_engine([n for n in full if n.column not in dead], vehicle)
     read += engine if "B_net" not in driving else []
@@ -262,37 +263,6 @@ def _buoyancy_engine(names: Sequence[Name], vehicle: Vehicle | None) -> list[Gue
         return []
     force = 1e-6 * vehicle.environment["rho"] * vehicle.environment["g"]  # N per cm^3
     return _computed([column], {"B_net": f"{force:.6g} * {in_formula(column)}"}, "N", _PUMPED)
-
-
-def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> tuple[str, ...]:
-    """Columns of latitude and longitude in degrees that are called x and y, as heading and speed have it."""
-    x, y = (motion[c].column if c in motion and not motion[c].unit else "" for c in "xy")
-    if not (x and y and are_degrees(t, {"x": data[x], "y": data[y]})):
-        return ()
-    known = {c: data[motion[c].column] for c in ("psi", "u", "v") if c in motion}
-    turns = [known.get("psi", 0.0 * t), np.radians(known.get("psi", 0.0 * t))]
-
-    def unexplained(globe: tuple[str, str]) -> float:
-        place = {c: values for c, (_, values) in place_of(*((n, data[n]) for n in globe)).items()}
-        shares = [least_unexplained_shares(t, {**known, **place, "psi": psi}) for psi in turns if place]
-        return min((share for one in shares for share in one.values()), default=np.inf)
-
-    return min(((y, x), (x, y)), key=unexplained)
-
-
-def _fixes(
-    motion: dict[str, Name], data: Mapping[str, Array], dead: set[str], t: Array
-) -> tuple[dict[str, Name], Sequence[str], dict[str, tuple[str, Array]]]:
-    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any.
-
-    First the columns of the other motions: those of x and y only where they are no latitude and longitude.
-    """
-    globe: Sequence[str] = _globe_called_xy(motion, data, t)
-    motion = {c: n for c, n in motion.items() if n.column not in globe}
-    if not globe and not {"x", "y"} & {*motion}:
-        globe = latitude_and_longitude([c for c in data if c not in dead]) or latitude_and_longitude(data)
-    place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
-    return motion, globe if place else (), place
 
 
 def _by_fixes(
@@ -479,9 +449,22 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
         doubts.append("read as the speed ahead: does the vehicle hardly drift or go astern?")
         if name.is_through_water:
             doubts.append("[water] with the velocity of the water makes it one over ground")
+    elif "depth" in name.words and np.nanmedian(values) * scale_offset(unit, "m")[0] < -SETTINGS.above:
+        entry["scale"] = -1
+        doubts.append("mostly negative, as no depth is: read as growing upwards: does it?")
     elif channel == "z" and not set(name.words) & {"d", "down", "depth"}:
         doubts.append("does it grow with depth? If it grows upwards: scale = -1")
     return Guess(name.column, entry, " ".join(filter(None, doubts)))
+
+
+def in_axes(guess: Guess, axes: Axes) -> Guess:
+    """The entry of a depth or a height with the sign of z in these axes; any other as it is."""
+    name = Name.of(guess.column)
+    signed = name.is_upward or bool({*name.words} & {"d", "down", "depth"})
+    if guess.channel != "z" or not signed or axes.entry["position"] != "ENU":
+        return guess
+    entry = {k: v for k, v in guess.entry.items() if k != "scale"}
+    return replace(guess, entry=entry if "scale" in guess.entry else {**entry, "scale": -1})
 
 
 def _unit(channel: str, values: Array) -> tuple[str, str]:

@@ -112,6 +112,8 @@ def _unexplained_shares(seconds: float, t: Array, channels: Mapping[str, Array])
     motion = np.sqrt(np.mean(_change(x, step) ** 2 + _change(y, step) ** 2))
     found = {}
     for name, (_, (swapped, port, earth, east)) in _ENTRIES.items():
+        if port and "v" not in channels:  # the same as without
+            continue
         side = -v if port else v
         ahead = v + 1j * u if east else u + 1j * side
         across = 1.0 if earth else np.exp(1j * psi)

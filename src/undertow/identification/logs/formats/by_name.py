@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError
-from undertow.identification.logs.guess import SETTINGS, guess_table, no_column, without_motion
+from undertow.identification.logs.guess import SETTINGS, guess_table, in_axes, no_column, without_motion
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
@@ -48,6 +48,8 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
         direct = [g for g in guess.columns if not g.is_formula]
         new = [g for g in direct if g.channel in UNITS and g.channel not in taken]
         new = [g for g in new if fits(one.units.get(_name_in_series(one, g)), g.channel)]
+        if frames.position == "ENU" and guess.axes.entry["position"] == "NED":  # those of the first series
+            new = [in_axes(g, found[0][1].axes) for g in new]
         columns |= {f"{one.name}.{_name_in_series(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
         driving += [f"{one.name}.{_name_in_series(one, g)}" for g in direct if g.channel not in UNITS]

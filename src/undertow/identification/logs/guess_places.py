@@ -1,0 +1,44 @@
+"""Latitude and longitude among the columns of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from undertow.typing import Array
+
+from .guess_clock import are_degrees
+from .guess_frames import least_unexplained_shares, place_of
+from .guess_names import Name, latitude_and_longitude
+
+
+def fixes_in(
+    motion: dict[str, Name], data: Mapping[str, Array], dead: set[str], t: Array
+) -> tuple[dict[str, Name], Sequence[str], dict[str, tuple[str, Array]]]:
+    """Columns of latitude and longitude, rather ones that move, and the place that they give, if any.
+
+    First the columns of the other motions: those of x and y only where they are no latitude and longitude.
+    """
+    globe: Sequence[str] = _globe_called_xy(motion, data, t)
+    motion = {c: n for c, n in motion.items() if n.column not in globe}
+    if not globe and not {"x", "y"} & {*motion}:
+        globe = latitude_and_longitude([c for c in data if c not in dead]) or latitude_and_longitude(data)
+    place = place_of(*((n, data[n]) for n in globe)) if {*globe} - dead else {}
+    return motion, globe if place else (), place
+
+
+def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: Array) -> tuple[str, ...]:
+    """Columns of latitude and longitude in degrees that are called x and y, as heading and speed have it."""
+    x, y = (motion[c].column if c in motion and not motion[c].unit else "" for c in "xy")
+    if not (x and y and are_degrees(t, {"x": data[x], "y": data[y]})):
+        return ()
+    known = {c: data[motion[c].column] for c in ("psi", "u", "v") if c in motion}
+    turns = [known.get("psi", 0.0 * t), np.radians(known.get("psi", 0.0 * t))]
+
+    def unexplained(globe: tuple[str, str]) -> float:
+        place = {c: values for c, (_, values) in place_of(*((n, data[n]) for n in globe)).items()}
+        shares = [least_unexplained_shares(t, {**known, **place, "psi": psi}) for psi in turns if place]
+        return min((share for one in shares for share in one.values()), default=np.inf)
+
+    return min(((y, x), (x, y)), key=unexplained)
