@@ -407,8 +407,13 @@ def test_latitude_and_longitude_may_be_called_x_and_y(latitude: str) -> None:
     by_channel = {g.channel: g.entry for g in found.columns}
     assert f"({latitude} - 63.4" in str(by_channel["x"]["expression"])
     assert by_channel["psi"]["unit"] == "rad"
-    assert any("if these are degrees: are they?" in question for question in found.asked)
+    asked = f"if these are degrees, '{latitude}' the latitude: are they?"
+    assert any(asked in question for question in found.asked)
     assert not any("position would change" in question for question in found.asked)
+    plain = guess_table(
+        table.select("t", x=39.9 + pl.col(latitude) - 63.4, y=-75.2 - 1e-7 * pl.col("t")), Path("own.csv")
+    )
+    assert "(x - 39.9" in str({g.channel: g.entry for g in plain.columns}["x"]["expression"])
     pool = table.with_columns(x=3.0 + 0.002 * pl.Series(north), y=2.0 + 0.002 * pl.Series(east))
     assert {g.channel: g.column for g in guess_table(pool, Path("own.csv")).columns}["x"] == "x"
 

@@ -272,7 +272,9 @@ def _by_fixes(
     flags: Mapping[str, Array],
 ) -> list[Guess]:
     """Entries of the place that latitude and longitude give."""
-    doubt = _FIXES.format(unit_of_place(*(data[n] for n in globe))) if globe else ""
+    unit = unit_of_place(*(data[n] for n in globe)) if globe else ""
+    unit += "" if not globe or latitude_and_longitude(globe) else f", '{globe[0]}' the latitude"
+    doubt = _FIXES.format(unit) if globe else ""
     fixes = _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", doubt)
     new = [_fresh(Name.of(column), data[column], flags) for column in globe]
     entries = [{**fix.entry, "fresh": n} if n else fix.entry for fix, n in zip(fixes, new, strict=True)]

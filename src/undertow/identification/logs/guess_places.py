@@ -12,6 +12,8 @@ from .guess_clock import are_degrees
 from .guess_frames import least_unexplained_shares, place_of
 from .guess_names import Name, latitude_and_longitude
 
+_POLAR = 72.0  # latitude, degrees, beyond which few vehicles are
+
 
 def fixes_in(
     motion: dict[str, Name], data: Mapping[str, Array], dead: set[str], t: Array
@@ -36,9 +38,10 @@ def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: A
     known = {c: data[motion[c].column] for c in ("psi", "u", "v") if c in motion}
     turns = [known.get("psi", 0.0 * t), np.radians(known.get("psi", 0.0 * t))]
 
-    def unexplained(globe: tuple[str, str]) -> float:
+    def unlikely(globe: tuple[str, str]) -> tuple[float, bool]:
         place = {c: values for c, (_, values) in place_of(*((n, data[n]) for n in globe)).items()}
         shares = [least_unexplained_shares(t, {**known, **place, "psi": psi}) for psi in turns if place]
-        return min((share for one in shares for share in one.values()), default=np.inf)
+        polar = float(np.nanmax(np.abs(data[globe[0]]))) > _POLAR
+        return min((share for one in shares for share in one.values()), default=np.inf), polar
 
-    return min(((y, x), (x, y)), key=unexplained)
+    return min(((y, x), (x, y)), key=unlikely)
