@@ -418,6 +418,21 @@ def test_latitude_and_longitude_may_be_called_x_and_y(latitude: str) -> None:
     assert {g.channel: g.column for g in guess_table(pool, Path("own.csv")).columns}["x"] == "x"
 
 
+@pytest.mark.parametrize(("size", "asked"), [(1.0, False), (1 / 0.3048, True)])
+def test_positions_that_contradict_latitude_and_longitude_are_asked_about(size: float, asked: bool) -> None:
+    """In feet, beside fixes that scatter by 2 m and are missing in most rows."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 120.0, 0.2)
+    x, y = 40.0 * np.sin(0.05 * t), 60.0 * np.cos(0.05 * t)
+    north, east = (c + 2.0 * rng.standard_normal(len(t)) for c in (-y, x))  # x and y have axes of their own
+    known = np.arange(len(t)) % 5 == 0
+    fixes = {"lat": 63.4 + north / 111_468, "lon": 10.4 + east / 49_978}
+    fixes = {n: np.where(known, c, np.nan) for n, c in fixes.items()}
+    found = guess_table(pl.DataFrame({"t": t, "x": size * x, "y": size * y, **fixes}), Path("own.csv"))
+    said = [question for question in found.asked if "lead away from their first place" in question]
+    assert bool(said) is asked
+    assert not asked or "which is right?" in said[0]
+
+
 @pytest.mark.parametrize(("column", "sign"), [("depth", 1.0), ("height_msl", -1.0), ("depth", -1.0)])
 def test_depth_keeps_its_sign_where_x_is_east_and_y_north(column: str, sign: float, tmp_path: Path) -> None:
     """A depth, a height, and a depth that is written as a height; the side needs no sideways speed."""

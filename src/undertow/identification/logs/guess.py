@@ -48,7 +48,7 @@ from .guess_names import (
     with_axes,
     with_sides,
 )
-from .guess_places import fixes_in
+from .guess_places import fixes_in, two_places
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
 from .table import file_bytes, is_dates, joined_rows, numbers, read_table, texts_in, unit_of_cells
@@ -135,8 +135,7 @@ def guess_table(
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
-    asked = [f"'{flag}'" for flag in flags if flag not in used | dead]
-    questions += [_FLAG.format(", ".join(asked))] if asked else []
+    questions += two_places(known, data, dead) + _on_flags(flag for flag in flags if flag not in used | dead)
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
@@ -222,6 +221,12 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     wrench = [n.column for n in left if n.force]
     asked = without_motion(vehicle, {g.channel for g in read}) + no_column(lacking)
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
+
+
+def _on_flags(flags: Iterable[str]) -> list[str]:
+    """Ask what columns of 0 and 1 are, if there are any."""
+    names = ", ".join(f"'{flag}'" for flag in flags)
+    return [_FLAG.format(names)] if names else []
 
 
 _WRENCH = (

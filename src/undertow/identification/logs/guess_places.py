@@ -13,6 +13,8 @@ from .guess_frames import least_unexplained_shares, place_of
 from .guess_names import Name, latitude_and_longitude
 
 _POLAR = 72.0  # latitude, degrees, beyond which few vehicles are
+# Two places contradict each other if farther apart than this share of the way, and than fixes scatter, m.
+_APART, _SCATTER = 0.2, 10.0
 
 
 def fixes_in(
@@ -45,3 +47,23 @@ def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: A
         return min((share for one in shares for share in one.values()), default=np.inf), polar
 
     return min(((y, x), (x, y)), key=unlikely)
+
+
+def two_places(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[str]) -> list[str]:
+    """A question where x and y (m) lead elsewhere than latitude and longitude of the same log."""
+    globe = latitude_and_longitude([c for c in data if c not in dead])
+    other = place_of(*((n, data[n]) for n in globe)) if globe and {"x", "y"} <= known.keys() else {}
+    places = [known["x"], known["y"], *(values for _, values in other.values())] if other else []
+    there = np.all(np.isfinite(places), axis=0)
+    if not places or not there.any():
+        return []
+    # How far it is from the first, for the axes of x and y may be any.
+    x, y, north, east = (values[there] - values[there][0] for values in places)
+    far = np.hypot(x, y), np.hypot(north, east)
+    least = max(_SCATTER, _APART * float(np.max(far)))
+    if float(np.quantile(np.abs(far[0] - far[1]), 0.9)) < least:
+        return []
+    sizes = f"up to {np.max(far[0]):.3g} m, {' and '.join(globe)} up to {np.max(far[1]):.3g} m"
+    return [
+        f"x and y lead away from their first place by {sizes}: in what unit are they, and which is right?"
+    ]
