@@ -59,6 +59,13 @@ def _write(path: Path, columns: Mapping[str, Array]) -> None:
     pl.DataFrame(dict(columns)).write_csv(path)
 
 
+def test_tables_whose_names_begin_with_a_date_are_told_apart(tmp_path: Path) -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    _write(tmp_path / "2024.05.01_pose.csv", {"t": t, "x": t, "y": np.sin(t), "yaw": 0.1 * t})
+    _write(tmp_path / "2024.05.01_motors.csv", {"t": t + 0.05} | _thrust(t))
+    assert {*read_field_log(tmp_path).series} == {"pose", "motors"}
+
+
 def test_a_depth_beside_positions_east_and_north_keeps_its_sign(tmp_path: Path) -> None:
     t = np.arange(0.0, 60.0, 0.2)
     psi = 0.08 * t

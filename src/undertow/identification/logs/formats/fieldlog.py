@@ -585,7 +585,8 @@ def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
         refuse_no_file(path)
         if (known := format_of(path)) is not None:
             raise UndertowError(
-                f"log {path} is {known.name}, and only tables can be given as several files: give it alone"
+                f"log {path} is {known.name}, and only tables can be given as several files: give it alone, "
+                f"or make a table of each (undertow import {path} --out NEW.parquet)"
             )
     return next(one.together for one in formats() if one.together)(paths)
 

@@ -27,7 +27,7 @@ from undertow.identification.logs.guess_clock import (
     with_nanoseconds,
 )
 from undertow.identification.logs.guess_names import Name, unit_of_clock
-from undertow.identification.logs.mapping import SECONDS
+from undertow.identification.logs.mapping import SECONDS, name_of_log
 from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import lacking_zeros
 from undertow.typing import Array
@@ -101,7 +101,7 @@ def _guessed(log: FieldLog) -> FieldLog:
 def _names(files: Sequence[Path], folder: Path) -> list[str]:
     """Names of files with their folders, or without the words that all names begin or end with."""
     inside = [file.relative_to(folder) for file in files]
-    stems = [".".join((*one.parts[:-1], one.name.split(".")[0])) for one in inside]
+    stems = [".".join((*one.parts[:-1], name_of_log(one))) for one in inside]
     words = [re.split(r"[ _-]+", stem) for stem in stems]
     for end in (0, -1):
         while len(words) > 1 and min(map(len, words)) > 1 and len({w[end] for w in words}) == 1:
