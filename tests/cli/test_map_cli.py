@@ -897,7 +897,7 @@ def test_a_log_with_dates_has_axes_like_any_other(tmp_path: Path) -> None:
         guess_table(odd.drop("pose_position_x"), tmp_path / "own.csv")
 
 
-@pytest.mark.parametrize("digits", ["{:.1f}", "{:.0f}"])
+@pytest.mark.parametrize("digits", ["{:.1f}", "{:.0f}", "{:.0f}000"])
 def test_hours_minutes_and_seconds_in_six_digits_are_a_time_of_day(digits: str, tmp_path: Path) -> None:
     """As GPS receivers write them: 0:59:59 is followed by 1:00:00, not 41 or 4041 seconds later."""
     t = 34790.0 + np.arange(200.0)
@@ -907,6 +907,16 @@ def test_hours_minutes_and_seconds_in_six_digits_are_a_time_of_day(digits: str, 
     assert guessed.time.entry == {"column": "h", "unit": "iso"}
     assert "hhmmss" in guessed.time.doubt
     assert read_log(tmp_path / "log.csv", guessed.meaning).t == pytest.approx(t - t[0])
+
+
+def test_milliseconds_of_a_time_of_day_that_repeat_are_no_clock_of_few_digits(tmp_path: Path) -> None:
+    """122159900 is followed by 122200000: rows of one interval are 20 s off."""
+    t = np.round(44_500.0 + 0.1 * (np.arange(3000) // 1.15), 1)
+    stamps = [f"{10_000_000 * (s // 3600) + 100_000 * (s // 60 % 60) + 1000 * (s % 60):.0f}" for s in t]
+    pl.DataFrame({"time": stamps, "u": np.sin(t)}).write_csv(tmp_path / "log.csv")
+    guessed = guess_mapping(tmp_path / "log.csv")
+    assert guessed.time.entry["unit"] == "iso"
+    assert np.ptp(read_log(tmp_path / "log.csv", guessed.meaning).t) == pytest.approx(np.ptp(t))
 
 
 def test_seconds_that_happen_to_look_like_a_time_of_day_are_seconds(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ _YEAR_LAST = r"^(\d{1,2})[-/. ](\d{1,2})[-/. ](\d{4})[T_, ]+(\d{1,2})(:\d{2}\S*)
 _OF_DAY, _THREE = r"^(\d{1,2}):(\d{2}:\d{2}(?:\.\d+)?)$", r"T0(\d{2}):"
 DIGITS_OF_DAY = r"^(\d{1,2})(\d{2})(\d{2}(?:\.\d+)?)$"
 """Hours, minutes and seconds side by side, as GPS receivers write them."""
+_WITH_MILLISECONDS = r"^(\d{1,2}\d{2}\d{2})(\d{3})$"
 _AFTER_SECONDS = r"^(\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2})[,:](\d+)"
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _MONTH = rf"(?i)^(\d{{1,2}}[-/. ])({'|'.join(_MONTHS)})[a-z]*([-/. ])"
@@ -20,10 +21,15 @@ def as_iso(stamps: pl.Series) -> pl.Series:
     """Texts of dates with the signs of ISO 8601 between their numbers."""
     stamps = _with_year_first(_with_numbered_months(stamps.str.strip_chars()))
     stamps = stamps.str.replace(DATE, "$1-$2-${3}T$4")
-    stamps = stamps.str.replace(DIGITS_OF_DAY, "$1:$2:$3")
+    stamps = with_points(stamps).str.replace(DIGITS_OF_DAY, "$1:$2:$3")
     # The time of day alone counts from midnight.
     stamps = stamps.str.replace(_OF_DAY, "1970-01-01T0$1:$2").str.replace(_THREE, "T$1:")
     return stamps.str.replace(_AFTER_SECONDS, "$1.$2")
+
+
+def with_points(stamps: pl.Series) -> pl.Series:
+    """Digits of times of day with a point before the milliseconds: "122237.104" for "122237104"."""
+    return stamps.str.replace(_WITH_MILLISECONDS, "$1.$2")
 
 
 def _with_numbered_months(stamps: pl.Series) -> pl.Series:

@@ -13,7 +13,7 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.typing import Array, Flags
 
-from .dates import DIGITS_OF_DAY
+from .dates import DIGITS_OF_DAY, with_points
 from .guess_frames import Guess
 from .guess_names import is_clock, unit_of_clock
 from .mapping import SECONDS, metres_per_degree, spacing_of
@@ -106,7 +106,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
     one = "row" if np.all(sampled) else "sample"
     said = "" if stated or dated else _unit_question(step, unit, one)
-    said = "read as hours, minutes and seconds in six digits (hhmmss): is that right?" if digits else said
+    said = "read as hours, minutes and seconds side by side (hhmmss): is that right?" if digits else said
     entry, asked = {"column": found, "unit": unit}, [said] if said else []
     entry |= {"nanoseconds": halves[found]} if found in halves else {}
     if rate > MEASURABLE.fast and np.all(sampled):
@@ -120,7 +120,7 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
 
 def _are_six_digits(column: pl.Series) -> bool:
     """Whether texts are times of day, written as digits side by side."""
-    texts = column.drop_nulls().str.strip_chars()
+    texts = with_points(column.drop_nulls().str.strip_chars())
     numbers = texts.cast(pl.Float64, strict=False).to_numpy()
     return bool(texts.str.contains(DIGITS_OF_DAY).all()) and is_time_of_day(numbers)
 
@@ -255,7 +255,8 @@ def _rounded(name: str, times: Array) -> Guess | None:
     row = np.arange(len(times))
     interval, start = np.polyfit(row, times, 1)
     off = float(np.max(np.abs(times - start - interval * row)))
-    if not 0.0 < off <= min(float(np.max(steps)), SETTINGS.even * (times[-1] - times[0])):
+    digit = float(np.quantile(steps[steps > 0.0], 1.0 - SETTINGS.late)) if np.any(steps > 0.0) else 0.0
+    if not 0.0 < off <= min(digit, SETTINGS.even * (times[-1] - times[0])):
         return None
     scale = SECONDS[_unit(name, times)]
     said = (
