@@ -38,6 +38,8 @@ class ClockSettings:
     even: float = 0.01
     fewest: int = 30  # different times of such a clock from which the first row of each makes a log
     slowest: float = 0.01  # m/s that a logged vehicle exceeds
+    # Of a position in m, changes from step to step differ by more: no tracking system is finer than this, m.
+    finest: float = 1e-4
     apart: float = 10.0  # distance of latitude and longitude from zero over their change in a log, at least
 
 
@@ -190,7 +192,8 @@ def are_degrees(t: Array, moved: Mapping[str, Array]) -> bool:
     if not SETTINGS.slowest < metres_per_degree(0.0)[0] * pace < SETTINGS.fastest or pace > SETTINGS.slowest:
         return False
     apart = all(abs(np.median(a)) > SETTINGS.apart * np.ptp(a) for a in place)
-    return apart and bool(max(np.abs(a).max() for a in place) <= 360.0)
+    fine = all(np.median(np.abs(np.diff(a, 2))) < SETTINGS.finest for a in place)
+    return apart and fine and bool(max(np.abs(a).max() for a in place) <= 360.0)
 
 
 def _pace(t: Array, moved: Mapping[str, Array]) -> float:
