@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,18 @@ def test_steps_that_a_vehicle_may_have_moved_are_no_sure_shifts_of_the_origin(
     findings = list(shifts_at_ease(load_vehicle("glider"), [run]))
     assert [f.text.split()[1] for f in findings] == found
     assert all("theta changes 5 times by up to 0.5 rad" in f.text for f in findings)
+
+
+def test_a_heading_that_jumps_beside_a_vehicle_without_yaw_is_no_motion_of_it() -> None:
+    columns = _log()
+    heading = columns["psi"] + 0.5 * np.sign(np.sin(2.0 * np.pi * (np.arange(600) + 0.5) / 100.0))
+    noise = 0.001 * np.random.default_rng(2).standard_normal(600)
+    pose = {n: columns[n] for n in ("t", "x", "y", "port", "starboard")} | {"psi": heading + noise}
+    vehicle = replace(load_vehicle("otter"), degrees_of_freedom=("surge", "sway"))
+    run = velocities_from_pose(run_of("log", pose), vehicle.degrees_of_freedom)
+    assert "psi" in run.shifts
+    assert not run.has("r")
+    assert not list(shifts_at_ease(vehicle, [run]))
 
 
 @pytest.mark.parametrize(("digits", "found"), [(0.4, True), (0.001, False)])

@@ -70,7 +70,9 @@ def shifts_at_ease(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     size = size_of(vehicle)
     if size is None:
         return
-    found = [(run, n, s) for run in runs for n in run.shifts if len(s := _at_ease(vehicle, run, n, size))]
+    own = dict(zip(vehicle.pose_names, vehicle.velocity_names, strict=True))  # psi may be there without yaw
+    shifted = ((run, name) for run in runs for name in run.shifts if name in own)
+    found = [(run, n, s) for run, n in shifted if len(s := _at_ease(vehicle, run, n, size))]
     for name in dict.fromkeys(n for _, n, s in found if len(s) >= SETTINGS.fewest):
         run, _, steps = max((f for f in found if f[1] == name), key=lambda f: len(f[2]))
         velocity, (largest, step) = VELOCITY[POSE.index(name)], steps[np.argmax(steps[:, 0])]
