@@ -227,6 +227,8 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("time_ms", "", "ms"),
         ("rot_dps", "r", "deg/s"),
         ("ROT", "r", ""),
+        ("Rate of Turn", "r", ""),
+        ("HEEL", "phi", ""),
         ("rpm1", "", "rpm"),
         ("rot (deg/min)", "r", "deg/min"),
         ("thrust_kN", "", "kN"),
@@ -738,8 +740,9 @@ def test_forces_and_moments_are_those_of_one_series(tmp_path: Path) -> None:
     assert [guesses[f].column for f in FORCES] == [*given]
 
 
-def test_a_rudder_beyond_a_turn_is_in_degrees(tmp_path: Path) -> None:
-    columns = {"rudder": 30.0, "n_prop [rps]": 10.0}
+@pytest.mark.parametrize("largest", [30.0, 2.4])
+def test_a_rudder_beyond_a_right_angle_is_in_degrees(largest: float, tmp_path: Path) -> None:
+    columns = {"rudder": largest, "n_prop [rps]": 10.0}
     guesses, _ = _guesses(tmp_path, SHIP.format(thrust=PROPELLER.format("rev/s")), **columns)
     assert (guesses["rudder"].entry["unit"], guesses["rudder"].doubt) == ("deg", "")
 

@@ -35,6 +35,7 @@ def _voyage(begin: float) -> list[str]:
         lines.append(_line(f"GPRMC,{clock},A,{_angle(lat, 2)},S,{_angle(67.3, 3)},W,3.888,180.0,010124,,,A"))
         lines += [_line(f"HEHDT,{170.0 + k + 0.1 * j:.1f},T") for j in range(10)]
         lines += [_line(f"IIRSA,{5.0 + 0.1 * k:.1f},A,,"), _line(f"IIRPM,S,1,{600 + k}.0,,A")]
+        lines += [_line(f"IIVWR,{j:03},R,05.8,N,,,,") for j in range(20)]  # which nothing reads
         lines.append("!AIVDM,1,1,,A,15M67FC000G?ufbE`FepT@3n00Sa,0*5C")
     return lines
 

@@ -618,8 +618,8 @@ def _command(
         expected = " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
         doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: "
         doubt += f"is that right?{expected if unit == 'N' else ''}"
-    elif unit == "rad":
-        entry["unit"], doubt = _unit("phi", values)
+    elif unit == "rad":  # no rudder or fin turns by more than a right angle
+        entry["unit"], doubt = ("deg", "") if max(most, -least) > np.pi / 2 else _unit("phi", values)
     elif unit == "N" or max(most, -least) > SETTINGS.full:
         expected = " The vehicle file expects N: else give the force of a command of 1 as scale"
         doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"

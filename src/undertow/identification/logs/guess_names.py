@@ -37,8 +37,8 @@ _PLACES = {
 _EARTH = {"n": 0, "north": 0, "e": 1, "east": 1, "d": 2, "down": 2, "up": 2}
 _EARTH_SPEEDS = {"vn": 0, "ve": 1, "vd": 2, "vu": 2}
 _TURNS = {
-    "phi": 0, "roll": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2, "hdg": 2, "compass": 2,
-    "cap": 2,  # French
+    "phi": 0, "roll": 0, "heel": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2, "hdg": 2,
+    "compass": 2, "cap": 2,
 }  # fmt: skip
 _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
@@ -164,6 +164,7 @@ class Name:
         spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch("[xyz]0", w) else w for w in words]  # of earth-fixed axes
+        words = re.sub(r"\brate of turn\b", "rot", " ".join(words)).split()
         compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
         words = _with_dots([part for w, m in compounds for part in (filter(None, m.groups()) if m else (w,))])
         if bracket is not None:

@@ -37,9 +37,7 @@ _FIELDS = {
 _CLOCKS = {"RMC": 1, "GGA": 1, "GLL": 5, "ZDA": 1}
 _VALID = {"RMC": (2, "A"), "GLL": (6, "A"), "GGA": (6, "12345678"), "RSA": (2, "A")}
 _SENTENCE = re.compile(r"^([^$,;]*[,;\s])?\$([A-Z]{2})([A-Z]{3}),([^*]*)(?:\*([0-9A-Fa-f]{2}))?\s*$")
-_BEGIN = re.compile(
-    rb"(?m)^[^$,;\n]*\$[A-Z]{2}(?:" + "|".join(_FIELDS).encode() + rb"),[^\n]*\*[0-9A-F]{2}\s*$"
-)
+_WHOLE = re.compile(rb"(?m)^[^$,;\n]*[$][A-Z]{5},[^\n]*\*[0-9A-Fa-f]{2}\s*$")
 # Likelier first; the first that is there is read.
 _HEADINGS = ("HDT", "THS", "HDG", "HDM")
 _POSITIONS = ("RMC", "GGA", "GLL")
@@ -163,7 +161,7 @@ def _spread(kinds: Sequence[str], own: np.ndarray) -> Iterator[float]:
 
 
 def _accepts(path: Path, head: bytes) -> bool:
-    return 2 * len(_BEGIN.findall(head)) > head.count(b"\n") > 0
+    return 2 * len(_WHOLE.findall(head)) > head.count(b"\n") > 0
 
 
 FORMAT = Format("NMEA 0183", (".nmea", ".txt"), _accepts, _read, 100_000_000)
