@@ -58,14 +58,18 @@ def test_sentences_are_the_motion_and_commands_of_a_ship(begin: float, tmp_path:
     assert run.channels["propeller"][0] == pytest.approx(600 * 2 * np.pi / 60)
 
 
-def test_times_that_a_logger_wrote_before_each_sentence_come_first(tmp_path: Path) -> None:
-    lines = [f"2023-09-02T12:41:{k:02}.250+00:00\t{_line(f'IIHDG,{k}.0,,,3.0,E')}" for k in range(20)]
+@pytest.mark.parametrize(("variation", "added"), [("3.0,W", -3.0), (",", 0.0)])
+def test_times_that_a_logger_wrote_before_each_sentence_come_first(
+    variation: str, added: float, tmp_path: Path
+) -> None:
+    """The variation is added to a magnetic heading, or asked for."""
+    lines = [f"2023-09-02T12:41:{k:02}.250+00:00\t{_line(f'IIHDG,{k}.0,,,{variation}')}" for k in range(20)]
     (tmp_path / "sail.nmea").write_text("\n".join(lines) + "\n")
     log = read_field_log(tmp_path / "sail.nmea")
     run = read_log(tmp_path / "sail.nmea")
     np.testing.assert_allclose(run.t, np.arange(20.0))
-    np.testing.assert_allclose(np.degrees(run.channels["psi"]), np.arange(20.0))
-    assert any("magnetic" in remark for remark in log.remarks)
+    np.testing.assert_allclose(np.degrees(run.channels["psi"]), added + np.arange(20.0))
+    assert any("magnetic" in remark for remark in log.remarks) == (added == 0.0)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,8 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     if not named:
         raise UndertowError(f"log {path} has no NMEA sentence with a motion: check that it is complete")
     notes = (f"sentences that are cut off or have a wrong checksum left out: {damaged}",) if damaged else ()
-    remarks = ("the heading is magnetic: state [compass] A, the variation",) * (heading in ("HDG", "HDM"))
+    magnetic = heading in ("HDG", "HDM") and "variation_deg" not in named[heading].columns
+    remarks = ("the heading is magnetic: state [compass] A, the variation",) * magnetic
     shafts = [name for name in named if name.startswith("RPM")]
     driven = {
         f"{name}.propeller": Column(channel=f"propeller{k}" if len(shafts) > 1 else "propeller", unit="rpm")
@@ -108,7 +109,10 @@ def _columns(kind: str, rows: Sequence[list[str]]) -> dict[str, np.ndarray]:
     if "latitude" in columns:
         north, east = north_east(columns["latitude"], columns["longitude"])
         columns |= {"north": north, "east": east}
-    return {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    known = {name: values for name, values in columns.items() if np.isfinite(values).any()}
+    if "variation_deg" in known and "heading_deg" in known:  # not every sentence may state it
+        known["heading_deg"] = known["heading_deg"] + np.nanmedian(known["variation_deg"])
+    return known
 
 
 def _number(fields: Sequence[str], at: int, name: str) -> float:
