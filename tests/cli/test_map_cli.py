@@ -240,6 +240,7 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("distance_r0", "", ""),
         ("y0", "y", ""),
         ("battery_cap", "", ""),
+        ("current_yaw", "psi", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:

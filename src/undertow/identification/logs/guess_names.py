@@ -199,7 +199,7 @@ class Name:
         `only` is the one degree of freedom of a vehicle, whose "position" needs no axis.
         """
         wanted = WANTED - _HEIGHTS if self.is_height else WANTED
-        if set(self.words) & {*wanted, *_DRIVES, *_CONSUMED, *_ABOUT_ELSE} or self.force or self.of_header:
+        if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE, "battery"} or self.force or self.of_header:
             return ""
         found = self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
