@@ -237,6 +237,11 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("sog_kn", "", "knot"),
         ("SOG [kn]", "", "knot"),
         ("cap", "psi", ""),
+        ("speed (km/h)", "", "km/h"),
+        ("u_kmh", "u", "km/h"),
+        ("v [cm/s]", "v", "cm/s"),
+        ("heading (°)", "psi", "deg"),
+        ("yaw rate [°/s]", "r", "deg/s"),
         ("distance_r0", "", ""),
         ("y0", "y", ""),
         ("battery_cap", "", ""),
@@ -761,7 +766,9 @@ def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     assert "rps: radians a second, or revolutions?" in guesses["r"].doubt
 
 
-@pytest.mark.parametrize("speed", ["speed", "SOG (kn)", "gps_groundspeed_mps", "gps_spd", "sog_1"])
+@pytest.mark.parametrize(
+    "speed", ["speed", "SOG (kn)", "gps_groundspeed_mps", "gps_spd", "sog_1", "Speed(km/h)"]
+)
 def test_a_vehicle_without_sway_has_its_speed_ahead_and_its_place_in_north_and_east(
     speed: str, tmp_path: Path
 ) -> None:

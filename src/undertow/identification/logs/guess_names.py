@@ -17,14 +17,16 @@ _UNITS = {
     "mps": "m/s", "m s": "m/s", "m/s": "m/s", "mmps": "mm/s", "mm s": "mm/s", "mm/s": "mm/s", "kn": "knot",
     "kt": "knot", "kts": "knot", "knots": "knot", "radps": "rad/s", "rad s": "rad/s", "rad/s": "rad/s",
     "rps": "rev/s", "rev/s": "rev/s", "degps": "deg/s", "dps": "deg/s", "deg s": "deg/s", "deg/s": "deg/s",
-    "deg min": "deg/min", "deg/min": "deg/min",
+    "deg min": "deg/min", "deg/min": "deg/min", "°": "deg", "°/s": "deg/s", "deg/sec": "deg/s",
+    "rad/sec": "rad/s", "m/sec": "m/s", "km/h": "km/h", "km h": "km/h", "kmh": "km/h", "kph": "km/h",
+    "cm/s": "cm/s", "cm s": "cm/s", "cmps": "cm/s", "ft/s": "ft/s", "ft s": "ft/s", "mph": "mph",
     "n": "N", "nm": "N m", "kilonewton": "kN", "kilonewton m": "kN m",
     "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
     "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
     "v": "V", "pwm": "pwm",
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
-_SPEEDS, RATES = {"m/s", "mm/s", "knot"}, {"rad/s", "deg/s", "deg/min"}
+_SPEEDS, RATES = {"m/s", "cm/s", "mm/s", "km/h", "ft/s", "mph", "knot"}, {"rad/s", "deg/s", "deg/min"}
 # "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
 _NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "deg/min", "m/s^2"}
 # Units of quantities other than motions and commands; in brackets alone: "w" is a heave velocity.
