@@ -237,6 +237,7 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
         ("sog_kn", "", "knot"),
         ("SOG [kn]", "", "knot"),
         ("cap", "psi", ""),
+        ("Longitude E/W", "", ""),
         ("speed (km/h)", "", "km/h"),
         ("u_kmh", "u", "km/h"),
         ("v [cm/s]", "v", "cm/s"),

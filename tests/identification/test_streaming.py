@@ -223,6 +223,18 @@ def test_dates_in_parts_count_from_the_first_of_the_log(tmp_path: Path, name: st
     np.testing.assert_array_equal(np.concatenate([p.t for p in parts]), read_log(path, mapping).t)
 
 
+@pytest.mark.parametrize("overlap", [0, 60])
+def test_times_of_day_in_parts_go_on_after_midnight(tmp_path: Path, overlap: int) -> None:
+    table = long_log(500)
+    times = pl.datetime(2025, 11, 12, 23, 59, 50) + pl.duration(milliseconds=pl.col("t") * 1e3)
+    path = written(table.with_columns(t=times.dt.strftime("%H:%M:%S%.3f")), tmp_path / "long.csv")
+    mapping = LogMapping.model_validate({"time": {"unit": "iso"}})
+    whole = read_log(path, mapping).t
+    np.testing.assert_allclose(whole, table["t"].to_numpy(), atol=1e-3)
+    for part in LongLog(path, mapping, ("tau_X",)).parts(200, overlap):
+        np.testing.assert_array_equal(part.run.t, whole[np.isin(whole, part.run.t)])
+
+
 def test_dates_that_are_read_in_another_order_from_part_to_part_are_refused(tmp_path: Path) -> None:
     """12 November, month first; 13 November shows only in the second part that the day is not 11."""
     table = long_log(500)

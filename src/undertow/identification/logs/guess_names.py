@@ -203,7 +203,8 @@ class Name:
         wanted = WANTED - _HEIGHTS if self.is_height else WANTED
         if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE, "battery"} or self.force or self.of_header:
             return ""
-        found = self._axis(only)
+        globe = {*_GLOBE[0], *_GLOBE[1]} & {*self.words}  # the E of "Longitude E/W" is no axis
+        found = "" if globe and self._axis(only) in POSE[:2] else self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
         fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
         return found if found and (not self.unit or self.unit in fits[found]) else ""

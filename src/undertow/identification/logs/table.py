@@ -185,6 +185,7 @@ _PIECE_BYTES = 1 << 20
 # Decimals of an exact time: nanoseconds of seconds since 1970, with digits to spare before the point.
 _EXACT = pl.Decimal(38, 9)
 _ROW = "number of the row"
+_DAY = 86_400.0  # s
 Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
 # Times beyond three years, in s, are dates counted from some epoch, and are counted from the first sample.
 _EPOCH = 1e8
@@ -644,7 +645,19 @@ def seconds(
     if stamps.dtype == pl.Duration:
         return tick * _counts_since(ticks, Decimal(0)), "", Decimal(0)
     zero = Decimal(origin) if origin is not None else ticks.drop_nulls().item(0)
-    return tick * _counts_since(ticks, zero), str(first), zero
+    t = tick * _counts_since(ticks, zero)
+    without_date = tick * float(stamps.to_physical().cast(pl.Float64).max() or 0.0) < _DAY  # type: ignore[arg-type]
+    return through_midnight(t) if without_date else t, str(first).removeprefix("1970-01-01 "), zero
+
+
+def through_midnight(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times of day, s since the one that counts as zero, that go on after midnight."""
+    there = np.isfinite(t)
+    step = np.diff(t[there], prepend=0.0)
+    days = np.cumsum(1.0 * (step < -_DAY / 2) - 1.0 * (step > _DAY / 2))  # a late row is of the day before
+    whole = t.copy()
+    whole[there] += _DAY * (days - np.minimum.accumulate(np.minimum(days, 0.0)))
+    return whole
 
 
 def padded(stamps: pl.Series) -> pl.Series:

@@ -14,7 +14,7 @@ import polars as pl
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, LogMapping, north_east
-from undertow.identification.logs.table import seconds
+from undertow.identification.logs.table import seconds, through_midnight
 
 from .fieldlog import FieldLog, Format, Series
 
@@ -41,7 +41,6 @@ _WHOLE = re.compile(rb"(?m)^[^$,;\n]*[$][A-Z]{5},[^\n]*\*[0-9A-Fa-f]{2}\s*$")
 # Likelier first; the first that is there is read.
 _HEADINGS = ("HDT", "THS", "HDG", "HDM")
 _POSITIONS = ("RMC", "GGA", "GLL")
-_DAY = 86_400.0
 Sentence = tuple[str, list[str], str]
 """Its type, its fields with the type in front, and what a logger wrote before it."""
 
@@ -139,7 +138,7 @@ def _times(found: Sequence[Sentence], path: Path) -> np.ndarray:
             f"log {path} has no sentence with a time (RMC, GGA, GLL, ZDA): let the logger write the time "
             "before each sentence"
         )
-    own[there] += _DAY * np.cumsum(np.diff(own[there], prepend=own[there][:1]) < -_DAY / 2)
+    own = through_midnight(own - own[there][0])
     return np.array([*_spread([kind for kind, _, _ in found], own)])
 
 
