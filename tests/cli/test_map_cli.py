@@ -153,6 +153,14 @@ def test_true_and_false_flag_a_sensor_with_rows_of_its_own(tmp_path: Path) -> No
     np.testing.assert_allclose(np.diff(run.t[known]), 2.0)
 
 
+def test_many_flags_make_one_question() -> None:
+    flags = {f"state{chr(97 + k)}": (np.arange(200) // (3 + k)) % 2 for k in range(9)}
+    found = guess_table(pl.DataFrame(_swinging() | flags), Path("own.csv"))
+    (asked,) = [question for question in found.asked if "0 or 1" in question]
+    assert "'statea', " in asked
+    assert "'statef', 3 more 0 or 1" in asked
+
+
 def test_what_cannot_be_known_is_asked(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plain = {name: pl.col(name) for name in ("t", "psi", "u")}
     off = pl.when(pl.col("t") < 1.0).then(0.0)  # no pulse before the vehicle is armed

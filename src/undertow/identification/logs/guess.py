@@ -225,8 +225,9 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
 
 def _on_flags(flags: Iterable[str]) -> list[str]:
     """Ask what columns of 0 and 1 are, if there are any."""
-    names = ", ".join(f"'{flag}'" for flag in flags)
-    return [_FLAG.format(names)] if names else []
+    names = [f"'{flag}'" for flag in flags]
+    more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
+    return [_FLAG.format(", ".join(names[:_NAMED] + more))] if names else []
 
 
 _WRENCH = (
@@ -241,6 +242,7 @@ _BLANK = (
     "commands without a value in some rows ({}) keep their previous value, by missing_commands = "
     '"hold" above: do they?'
 )
+_NAMED = 6  # flags that are named in a question
 _FLAG = (
     "{} 0 or 1: does it flag the values of a sensor that are new, or valid? Then give the columns of that "
     "sensor fresh = its name"
