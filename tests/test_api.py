@@ -6,6 +6,7 @@ import doctest
 import inspect
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -115,7 +116,8 @@ def test_one_run_needs_no_list(vehicle: ut.Vehicle, run: ut.Run) -> None:
     ("given", "message"),
     [
         ([], "there is no training log"),
-        (["dive.csv"], r"a log is given as str \('dive.csv'\): read it with undertow.read_log"),
+        (["dive.csv"], r"runs\[0\] is given as str \('dive.csv'\): read it with undertow.read_log first"),
+        ("dive.csv", r"runs is given as str \('dive.csv'\): read it with undertow.read_log first or a list"),
     ],
 )
 def test_logs_that_are_none_are_refused(vehicle: ut.Vehicle, given: list[ut.Run], message: str) -> None:
@@ -126,9 +128,9 @@ def test_logs_that_are_none_are_refused(vehicle: ut.Vehicle, given: list[ut.Run]
 
 def test_the_path_of_a_vehicle_is_no_vehicle(run: ut.Run) -> None:
     diagnose, check = partial(ut.diagnose, runs=[run]), partial(ut.check_gains, gains="paper-pd")
-    for call in (diagnose, check, ut.linearize, ut.compile):
-        with pytest.raises(ut.UndertowError, match=r"given as str: read it with undertow\.load_vehicle"):
-            call("vehicle.toml")
+    for call in (diagnose, check, ut.linearize, ut.compile, partial(ut.read_log, "dive.csv")):
+        with pytest.raises(ut.UndertowError, match=r"given as str .*: read it with undertow\.load_vehicle"):
+            call(vehicle="vehicle.toml")
 
 
 @pytest.mark.parametrize(
@@ -139,6 +141,17 @@ def test_the_path_of_a_vehicle_is_no_vehicle(run: ut.Run) -> None:
         ({"covariance": (["X_u"], np.eye(2))}, r"covariance of 1 parameters has shape \(2, 2\)"),
         ({"covariance": (["X_u"], [[np.nan]])}, "covariance of X_u is not finite"),
         ({"covariance": (["X_u"], [[-1.0]])}, "its variance is negative"),
+        ({"covariance": (["X_u"], [["a"]])}, "covariance is given as list: give an array of numbers"),
+        ({"covariance": (["X_u"],)}, r"covariance is given as tuple \(.*\): give 2 values"),
+        ({"confidence": "95%"}, r"confidence is given as str \('95%'\): give a number in SI"),
+        ({"start": ["x"]}, r"start is given as list \(\['x'\]\): give a mapping by name"),
+        (
+            {"uncertain": np.zeros(2)},
+            "given as ndarray .*: give a number in SI or a mapping by name or 'stated'",
+        ),
+        ({"forms": "printed"}, r"forms is given as str \('printed'\): give a list"),
+        ({"tilt": None}, r"tilt is given as NoneType \(None\): give a number in SI"),
+        ({"progress": 1}, r"progress is given as int \(1\): give a function"),
     ],
 )
 def test_what_gains_cannot_be_checked_over_is_refused(options: dict[str, Any], message: str) -> None:
@@ -148,16 +161,91 @@ def test_what_gains_cannot_be_checked_over_is_refused(options: dict[str, Any], m
         ut.check_gains(vehicle, gains, **options)
 
 
-def test_values_that_are_no_numbers_are_refused(vehicle: ut.Vehicle) -> None:
-    with pytest.raises(ut.UndertowError, match=r"u is given as str \('0.5'\): give a number in SI"):
-        ut.linearize(vehicle, {"u": "0.5"})  # type: ignore[dict-item]
-    with pytest.raises(ut.UndertowError, match="vehicle 'None' is neither a file nor a bundled vehicle"):
-        ut.load_vehicle(None)  # type: ignore[arg-type]
+def test_gains_that_were_read_for_another_vehicle_are_refused(vehicle: ut.Vehicle) -> None:
+    gains = gains_from_table(GainTable.model_validate(GAINS), ut.load_vehicle("box-hull"))
+    with pytest.raises(ut.UndertowError, match="gains 'hull' are for 'box-hull' with other values"):
+        ut.check_gains(vehicle, gains)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda v, _: ut.linearize(v, {"u": "0.5"}), r"at: u is given as str \('0.5'\): give a number in SI"),
+        (lambda v, _: ut.linearize(v, ["u"]), r"at is given as list \(\['u'\]\): give a mapping by name"),
+        (lambda v, _: ut.linearize(v, pade="3"), r"pade is given as str \('3'\): give a whole number"),
+        (lambda v, _: ut.linearize(v, pade=1.5), r"pade is given as float \(1.5\): give a whole number"),
+        (lambda v, _: ut.linearize(v, dt=1e300), r"sampled every 1e\+300 s the motion has no finite numbers"),
+        (lambda *_: ut.load_vehicle(None), r"source is given as NoneType \(None\): give a text or a path"),
+        (
+            lambda *_: ut.load_vehicle("otter", effect_files=3),
+            r"effect_files is given as int \(3\): give a list",
+        ),
+        (lambda *_: ut.load_vehicle("otter", effect_files=["x.py"]), "effect file 'x.py' does not exist"),
+        (
+            lambda *_: ut.read_log(None),
+            r"path is given as NoneType \(None\): give a text or a path or a list",
+        ),
+        (lambda *_: ut.read_log([]), "no log is given"),
+        (
+            lambda *_: ut.read_log("dive.csv", {"t": "time"}),
+            "mapping is given as dict .*: give a text or a path",
+        ),
+        (lambda *_: ut.read_log("dive.csv", window=("a", "b")), r"window\[0\] is given as str \('a'\)"),
+        (
+            lambda *_: ut.read_log("dive.csv", window=(1,)),
+            r"window is given as tuple \(\(1,\)\): give 2 values",
+        ),
+        (lambda v, run: ut.fit(v, run, loss="l1"), r"loss is given as str .*: give 'gaussian' or 'huber'"),
+        (lambda v, run: ut.fit(v, run, horizon=-1.0), "horizon = -1 s is no length of a window"),
+        (
+            lambda v, run: ut.fit(v, run, trust_log="no"),
+            r"trust_log is given as str \('no'\): give True or Fal",
+        ),
+        (lambda v, run: ut.add_effect(v, [], run), "no effect is named"),
+        (lambda *_: ut.Run("dive", np.zeros((2, 1)), {}), r"run 'dive': t has shape \(2, 1\)"),
+        (
+            lambda *_: ut.Run("dive", "x", {}),
+            "run 'dive': could not convert .*: give t as an array of numbers",
+        ),
+        (lambda *_: ut.Run("dive", [0, 1], [0, 1]), "run 'dive': .*, channels as arrays by name"),
+    ],
+)
+def test_arguments_of_other_kinds_are_refused(
+    vehicle: ut.Vehicle, run: ut.Run, call: Callable[[ut.Vehicle, ut.Run], object], message: str
+) -> None:
+    with pytest.raises(ut.UndertowError, match=message):
+        call(vehicle, run)
+
+
+@pytest.mark.parametrize("number", [np.float32(0.5), np.float64(0.5), np.int64(1), 1])
+def test_numbers_of_every_library_are_numbers(vehicle: ut.Vehicle, number: float) -> None:
+    assert ut.linearize(vehicle, {"u": number}, dt=number).dt == number
+
+
+@pytest.mark.parametrize("place", [0, 5])
+def test_a_run_whose_time_stands_still_is_refused(vehicle: ut.Vehicle, run: ut.Run, place: int) -> None:
+    t = run.t.copy()
+    t[place + 1] = t[place]
+    with pytest.raises(ut.UndertowError, match=f"time does not increase after {t[place]:g} s"):
+        ut.fit(vehicle, replace(run, t=t), method="weak")
+
+
+def test_what_cannot_be_simulated_is_refused(vehicle: ut.Vehicle) -> None:
     model = ut.compile(vehicle)
     x0, u = np.zeros(len(model.states)), np.zeros((3, len(model.inputs)))
-    for start, inputs, name in ((x0 * np.nan, u, "x0"), (x0, u + np.inf, "u")):
-        with pytest.raises(ut.UndertowError, match=f"{name} holds values that are not finite"):
+    for start, inputs, message in (
+        (x0 * np.nan, u, "x0 holds values that are not finite"),
+        (x0, u + np.inf, "u holds values that are not finite"),
+        (x0, "u", "u is given as str: give an array of numbers"),
+        (x0, 3.0, r"u has shape \(1,\): give "),
+        (x0[1:], u, "x0 has shape"),
+        (x0, u[:, 1:], "u has shape"),
+    ):
+        with pytest.raises(ut.UndertowError, match=message):
             model.simulate(start, inputs, 0.1)
+    for dt in (0, -1.0, np.nan, np.inf, 1e9, "0.1", None):
+        with pytest.raises(ut.UndertowError, match=r"dt = .* s cannot be the time between 3 samples: give"):
+            model.simulate(x0, u, dt)  # type: ignore[arg-type]
 
 
 def test_a_velocity_that_never_changes_is_refused(vehicle: ut.Vehicle, run: ut.Run) -> None:
@@ -197,8 +285,6 @@ def test_a_simulation_is_held_between_samples() -> None:
     calm = model.simulate(np.zeros(len(model.states)), 0 * u, dt=0.1)
     np.testing.assert_array_equal(x[:11], calm[:11])
     assert np.abs(x[11:] - calm[11:]).max() > 1e-6
-    with pytest.raises(ut.UndertowError, match=r"dt = 0 s"):
-        model.simulate(np.zeros(len(model.states)), u, dt=0)
 
 
 # --- tutorial.ipynb ---------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterable
-from numbers import Real
 
 
 class UndertowError(Exception):
@@ -41,12 +40,6 @@ def nearest(name: str, known: Iterable[str]) -> str:
     alike = alike or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     alike = alike or [other for other in names if other.lower().startswith(name.lower())]
     return f" (did you mean {alike[0]!r}?)" if alike else ""
-
-
-def require_number(name: str, value: object) -> None:
-    """Refuse what is no number, as a text with a unit is in Python."""
-    if not isinstance(value, Real):
-        raise UndertowError(f"{name} is given as {type(value).__name__} ({value!r:.60}): give a number in SI")
 
 
 def refuse_unknown(

@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from undertow.errors import UndertowError, require_number
-from undertow.model.vehicle import Vehicle, require_vehicle
+from undertow.errors import UndertowError
+from undertow.kinds import of_stated_kinds
+from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
 from undertow.typing import Array, Integers
 
@@ -50,6 +52,7 @@ class StepSettings:
     most_parts: int = 16
     stable: float = 2.0
     most_steps: int = 20_000
+    longest_run: float = 5e6  # s; two months are some 10^8 steps, which take a minute
 
 
 SETTINGS = StepSettings()
@@ -388,13 +391,18 @@ def _virtual_step(functions: Functions, wrt: Sequence[int]) -> ca.Function:
 
 
 # --- what `import undertow` gives ------------------------------------------------------------------
-def _finite_array(name: str, values: ArrayLike) -> Array:
+def number_array(name: str, values: ArrayLike) -> Array:
+    """Values as an array, or a refusal that names them."""
     try:
-        array = np.asarray(values, dtype=float)
+        return np.array(values, dtype=float, ndmin=1)
     except (TypeError, ValueError) as error:
         raise UndertowError(
             f"{name} is given as {type(values).__name__}: give an array of numbers"
         ) from error
+
+
+def _finite_array(name: str, values: ArrayLike) -> Array:
+    array = number_array(name, values)
     if not np.isfinite(array).all():
         raise UndertowError(f"{name} holds values that are not finite: fill or drop the missing ones")
     return array
@@ -409,8 +417,8 @@ class Model:
         The vehicle.
     """
 
+    @of_stated_kinds
     def __init__(self, vehicle: Vehicle) -> None:
-        require_vehicle(vehicle)
         self.vehicle = vehicle
         self._functions = Functions(vehicle)
         self._simulator = Simulator(self._functions)
@@ -447,10 +455,12 @@ class Model:
         UndertowError
             If a shape does not fit, a value is not finite, or dt is not positive.
         """
-        require_number("dt", dt)
-        if not (np.isfinite(dt) and dt > 0):
-            raise UndertowError(f"dt = {dt:g} s cannot be the time between samples: give a positive one")
         start, inputs = (_finite_array(name, value) for name, value in (("x0", x0), ("u", u)))
+        if not (isinstance(dt, Real) and 0 < dt * max(len(inputs), 1) <= SETTINGS.longest_run):
+            raise UndertowError(
+                f"dt = {dt!r:.60} s cannot be the time between {len(inputs)} samples: give a positive number "
+                f"with which they last at most {SETTINGS.longest_run:g} s"
+            )
         p = np.array(self._functions.values(), dtype=float)
         return self._simulator.run(start, dt * np.arange(float(len(inputs))), inputs, p)
 

@@ -7,7 +7,9 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undertow.model.vehicle import Vehicle, require_vehicle
+from undertow.errors import UndertowError
+from undertow.kinds import of_stated_kinds
+from undertow.model.vehicle import Vehicle
 from undertow.observer.design import load_observer
 from undertow.typing import Progress
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     import control as ct
 
 
+@of_stated_kinds
 def check_gains(
     vehicle: Vehicle,
     gains: str | Path | GainSet,
@@ -80,14 +83,19 @@ def check_gains(
     >>> ut.check_gains(ut.load_vehicle("mini-auv"), "paper-pid").conditions_hold
     False
     """
-    require_vehicle(vehicle)
     chosen = gains if isinstance(gains, GainSet) else load_gains(gains, vehicle)
+    if chosen.plant.vehicle != vehicle:
+        raise UndertowError(
+            f"gains '{chosen.name}' are for '{chosen.plant.vehicle.name}' with other values, not for this "
+            f"'{vehicle.name}': read their file for it"
+        )
     uncertainty = Uncertainty(vehicle, confidence, covariance)
     options = {"forms": forms, "iota": iota, "tilt": radians(tilt), "start": start, "uncertain": uncertain}
     design = None if observer is None else load_observer(observer, vehicle)
     return certify(chosen, uncertainty, observer=design, progress=progress, **options)
 
 
+@of_stated_kinds
 def linearize(
     vehicle: Vehicle, at: Mapping[str, float] | None = None, *, pade: int = 0, dt: float = 0.0
 ) -> ct.StateSpace:
@@ -125,6 +133,5 @@ def linearize(
     """
     from .linear import systems  # brings python-control
 
-    require_vehicle(vehicle)
     held = {"u": 0.0, "v": 0.0, "w": 0.0} if at is None else at
     return systems.linearize(vehicle, held, pade=pade, dt=dt)

@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import sympy as sm
 
+from undertow.kinds import of_stated_kinds
 from undertow.model.effect import Wrench, kinds_of
 from undertow.model.effects.control_surfaces import ControlSurfaces
 from undertow.model.effects.ocean_current import OceanCurrent, check_current
@@ -170,6 +171,7 @@ class Plant:
         return ""
 
 
+@of_stated_kinds
 def in_current(vehicle: Vehicle, north: float, east: float) -> Vehicle:
     """The vehicle in water that moves steadily over ground, m/s; a current of its file is replaced.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from undertow.errors import UndertowError, listed
+from undertow.kinds import of_stated_kinds
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
@@ -74,6 +75,10 @@ class Estimator:
     horizon: float | None = 5.0
     constraints: Constraints = field(default_factory=Constraints)
     loss: LossName = "gaussian"
+
+    def __post_init__(self) -> None:
+        if self.horizon is not None and not self.horizon > 0:
+            raise UndertowError(f"horizon = {self.horizon:g} s is no length of a window: give a positive one")
 
     def fit(
         self,
@@ -271,6 +276,7 @@ def _spread(row: Mapping[str, Any]) -> str:
     return "" if row["standard_error"] is None else f" ± {row['standard_error']:.2g}"
 
 
+@of_stated_kinds
 def read_log(
     path: str | Path | Sequence[str | Path],
     mapping: str | Path | LogMapping | None = None,
@@ -331,6 +337,7 @@ def read_log(
 
 
 @one_thread()
+@of_stated_kinds
 def fit(
     vehicle: Vehicle,
     runs: Runs,
@@ -422,6 +429,7 @@ def _method(name: str) -> Method:
     return methods[name.replace("-", "_")]
 
 
+@of_stated_kinds
 def add_effect(
     vehicle: Vehicle, effect: str | Sequence[str], runs: Runs, validation: Runs = (), *, force: bool = False
 ) -> Vehicle:
@@ -487,6 +495,8 @@ def try_effect(
     """
     effects = catalogue() if known is None else known
     wanted = [lookup(name, effects) for name in ([effect] if isinstance(effect, str) else effect)]
+    if not wanted:
+        raise UndertowError("no effect is named: give the id of one ('undertow effects' lists them)")
     report(0.0, "fitting the model as given")
     setup = set_up_addition(vehicle, runs, validation, trust_log=trust_log)
     report(0.3, f"fitting it with {listed([w.id for w in wanted])}")

@@ -16,6 +16,7 @@ import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.files import write_whole
+from undertow.kinds import of_stated_kinds
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.saving import save_vehicle
 from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
@@ -181,6 +182,7 @@ class DiagnosisResult:
 
 
 @one_thread()
+@of_stated_kinds
 def diagnose(
     vehicle: Vehicle,
     runs: Runs,

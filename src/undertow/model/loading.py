@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
@@ -16,6 +16,7 @@ from typing import Any
 import sympy as sm
 
 from undertow.errors import UndertowError, nearest
+from undertow.kinds import of_stated_kinds
 
 from .catalogue import Catalogue, companions, logged_quantities, lookup, with_effects
 from .effect import Effect, Surface
@@ -196,8 +197,9 @@ def bundled_vehicles() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
+@of_stated_kinds
 def load_vehicle(
-    source: str | Path, *, effect_files: Iterable[Path] = (), trust_effects: bool = False
+    source: str | Path, *, effect_files: Sequence[str | Path] = (), trust_effects: bool = False
 ) -> Vehicle:
     """Read a vehicle file, or a bundled vehicle by its name.
 
@@ -205,7 +207,7 @@ def load_vehicle(
     ----------
     source : str or Path
         Path of a vehicle file, or the name of a bundled vehicle.
-    effect_files : iterable of Path
+    effect_files : sequence of path
         Python files with further effects; they are executed.
     trust_effects : bool
         Execute the files that the vehicle file names in `effects_from`, too.
@@ -228,7 +230,7 @@ def load_vehicle(
     """
     path = resolve_vehicle(source)
     table = read_vehicle_table(path)
-    known = _known_effects(table, path, list(effect_files), trust_effects)
+    known = _known_effects(table, path, [*map(Path, effect_files)], trust_effects)
     try:
         for name in table.excluded_effects:
             lookup(name, known)

@@ -65,14 +65,6 @@ class Thruster:
         return self.law is None and gain.value == 0.0 and not gain.estimate
 
 
-def require_vehicle(vehicle: object) -> None:
-    """Refuse what is no vehicle, as the name of a file is."""
-    if not isinstance(vehicle, Vehicle):
-        raise UndertowError(
-            f"the vehicle is given as {type(vehicle).__name__}: read it with undertow.load_vehicle first"
-        )
-
-
 # Where a vehicle file states the hardware that an effect stands for.
 _HARDWARE_TABLES = {Thrusters.id: "[[thrusters]]", ControlSurfaces.id: "[[surfaces]]"}
 

@@ -184,7 +184,7 @@ class Workspace:
         path = folder / _FILE
         if not path.exists():
             wanted = wanted.model_copy(update={"vehicle_sha256": sha256_of(resolve_vehicle(wanted.vehicle))})
-            load_vehicle(wanted.vehicle, effect_files=map(Path, wanted.effects))  # before a folder is made
+            load_vehicle(wanted.vehicle, effect_files=wanted.effects)  # before a folder is made
             make_folder(folder)
             place = cls(folder, wanted)
             place.save()

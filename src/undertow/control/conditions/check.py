@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.control.gains import GainSet, allocation_of
-from undertow.errors import UndertowError, nearest, require_number
+from undertow.errors import UndertowError, nearest
 from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
@@ -93,7 +93,6 @@ def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
             raise UndertowError(
                 f"start: '{gains.plant.vehicle.name}' has no {name}, it has {', '.join(known)}"
             )
-        require_number(f"start: {name}", size)
         if not 0 <= size < np.inf:
             raise UndertowError(f"start: {name} = {size:g} is not the size of an error: give zero or more")
     if start is not None and not any(start.values()):
@@ -138,7 +137,6 @@ def _shares(names: Sequence[str], uncertain: float | Mapping[str, float]) -> lis
                 f"--uncertain {name}: no such parameter of inertia or damping{nearest(name, names)}; there "
                 f"are {', '.join(names)}"
             )
-        require_number(f"--uncertain {name}", share)
         if not 0 < share < 1:
             raise UndertowError(
                 f"--uncertain {name} = {share:.4g} is not a fraction of a value: give one between 0 and 1, "

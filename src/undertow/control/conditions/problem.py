@@ -14,6 +14,7 @@ import sympy as sm
 from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
+from undertow.codegen.simulate import number_array
 from undertow.control.gains import GainSet
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
@@ -579,7 +580,7 @@ class Uncertainty:
                 f"confidence {confidence:g} is no probability from {low:g} to {high:g}: give one"
             )
         self.vehicle, self.confidence = vehicle, confidence
-        self._names, self._matrix = list(covariance[0]), np.array(covariance[1], dtype=float)
+        self._names, self._matrix = list(covariance[0]), number_array("covariance", covariance[1])
         if self._names:
             _require_covariance(self._names, self._matrix)
 

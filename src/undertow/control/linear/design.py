@@ -14,6 +14,7 @@ from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.control.plant import remedy_for_curves
 from undertow.errors import UndertowError, refuse_unknown
+from undertow.kinds import of_stated_kinds
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -85,6 +86,7 @@ class Design:
         return heading + tomlkit.dumps(content)
 
 
+@of_stated_kinds
 def lqr(
     vehicle: Vehicle,
     error: Mapping[str, float],
@@ -237,6 +239,7 @@ def _positive(what: str, given: Mapping[str, float], names: list[str]) -> Array:
 
 
 # --- LQG ----------------------------------------------------------------------------------------
+@of_stated_kinds
 def lqg(
     vehicle: Vehicle,
     trim: Trim | Mapping[str, float],

@@ -12,6 +12,7 @@ import numpy as np
 
 from undertow.control.gains import GainSet
 from undertow.errors import UndertowError
+from undertow.kinds import of_stated_kinds
 from undertow.model.loading import last_covariance, read_vehicle_table, resolve_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design
@@ -97,6 +98,7 @@ def _last_covariance(vehicle: Vehicle, source: str | Path) -> tuple[tuple[str, .
     return tuple(names[i] for i in kept), total[np.ix_(kept, kept)]
 
 
+@of_stated_kinds
 def family(
     vehicle: Vehicle,
     trim: Trim | Mapping[str, float],

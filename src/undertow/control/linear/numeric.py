@@ -15,6 +15,7 @@ from undertow.codegen.compiler import Evaluator
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import describe
 from undertow.errors import UndertowError
+from undertow.kinds import of_stated_kinds
 from undertow.model.effect import Actuation
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -92,6 +93,7 @@ class Numeric:
 
 
 # --- vehicles made ready ------------------------------------------------------------------------
+@of_stated_kinds
 def in_direction(vehicle: Vehicle, direction: Mapping[str, int]) -> Vehicle:
     """The vehicle with the parameters of one direction of motion for both.
 

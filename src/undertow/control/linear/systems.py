@@ -20,6 +20,7 @@ from undertow.control.gains import GainSet
 from undertow.control.laws import DISCONTINUOUS
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
+from undertow.kinds import of_stated_kinds
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import SETTINGS as DESIGN
 from undertow.observer.design import Design
@@ -48,6 +49,7 @@ class DelaySettings:
 SETTINGS = DelaySettings()
 
 
+@of_stated_kinds
 def linearize(
     vehicle: Vehicle, trim: Trim | Mapping[str, float], *, pade: int = 0, dt: float = 0.0, units: bool = False
 ) -> ct.StateSpace:
@@ -82,7 +84,7 @@ def linearize(
         raise UndertowError(
             f"the trim is of a different vehicle from '{vehicle.name}': find it again for this one"
         )
-    system = linear_with_delays(numeric, found, pade, dt)
+    system = linear_with_delays(numeric, found, int(pade), float(dt))
     return with_units(system, numeric.units) if units else system
 
 
@@ -93,6 +95,8 @@ def linear_with_delays(
     _check_sampling(dt, pade)
     system = linear_at(numeric, trim, p)
     system = system.sample(dt, name=system.name) if dt else system  # behind a zero-order hold
+    if not (np.isfinite(system.A).all() and np.isfinite(system.B).all()):
+        raise UndertowError(f"sampled every {dt:g} s the motion has no finite numbers: shorten dt")
     dead, late = numeric.functions.late(p)
     late = {n: s for n, s in late.items() if n in system.output_labels}
     if not dead and not late:
@@ -194,6 +198,7 @@ def linear_at(numeric: Numeric, trim: Trim, p: Array | None = None) -> ct.StateS
     )
 
 
+@of_stated_kinds
 def as_nlsys(
     vehicle: Vehicle, *, direction: Mapping[str, int] | None = None, units: bool = False
 ) -> ct.NonlinearIOSystem:
@@ -352,6 +357,7 @@ class LawSystem:
         return ref, y, z
 
 
+@of_stated_kinds
 def as_controller(gains: GainSet, *, units: bool = False) -> ct.NonlinearIOSystem:
     """A gain set as a nonlinear system: references (x_ref ...), pose and velocity to commands.
 
@@ -382,6 +388,7 @@ def forces_of(vehicle: Vehicle) -> tuple[list[str], Array]:
     return [f"force_{vehicle.degrees_of_freedom[i]}" for i in rows], inverse
 
 
+@of_stated_kinds
 def close_loop(
     vehicle: Vehicle,
     gains: GainSet,

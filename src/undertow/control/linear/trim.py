@@ -11,7 +11,8 @@ from math import inf, isfinite
 import casadi as ca
 import numpy as np
 
-from undertow.errors import UndertowError, refuse_unknown, require_number
+from undertow.errors import UndertowError, refuse_unknown
+from undertow.kinds import of_stated_kinds
 from undertow.model.effect import Propeller
 from undertow.model.symbols import FASTEST, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
@@ -56,7 +57,6 @@ def checked_request(vehicle: Vehicle, held: Mapping[str, float] | None, free: Co
 def _check(name: str, value: float) -> None:
     if name in _POSITION:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
-    require_number(name, value)
     if not isfinite(value):
         raise UndertowError(f"{name} = {value} is not a value of a steady motion: give a finite one")
     most = FASTEST if name in VELOCITY else _FARTHEST
@@ -313,6 +313,7 @@ class Trim:
         return np.array(list(self.commands.values()))
 
 
+@of_stated_kinds
 def find_trim(
     vehicle: Vehicle,
     held: Mapping[str, float] | None = None,

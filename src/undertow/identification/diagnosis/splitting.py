@@ -14,7 +14,7 @@ from undertow.identification.estimation.data import channel_noise
 from undertow.identification.logs.opening import check_fit
 from undertow.identification.logs.pose_velocity import as_reported, velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.vehicle import Vehicle, require_vehicle
+from undertow.model.vehicle import Vehicle
 
 from .settings import DEFAULT, Settings
 
@@ -62,16 +62,17 @@ def normalised(vehicle: Vehicle, runs: Runs, validation: Runs) -> tuple[Vehicle,
     Raises
     ------
     UndertowError
-        If the vehicle is not a Vehicle, there is no run, or something else is among them.
+        If there is no run, or the time of one does not increase.
     """
-    require_vehicle(vehicle)
     train, test = ([given] if isinstance(given, Run) else list(given) for given in (runs, validation))
     if not train:
         raise UndertowError("there is no training log: give at least one run (undertow.read_log)")
-    if wrong := next((run for run in [*train, *test] if not isinstance(run, Run)), None):
-        raise UndertowError(
-            f"a log is given as {type(wrong).__name__} ({wrong!r:.60}): read it with undertow.read_log first"
-        )
+    for run in [*train, *test]:
+        if (stays := np.flatnonzero(~(np.diff(run.t) > 0))).size:
+            raise UndertowError(
+                f"run {run.name!r}: time does not increase after {run.t[stays[0]]:g} s: sort the samples and "
+                "drop those without a time of their own"
+            )
     return as_reported(vehicle.without_priors_from(run.sha256 for run in train), train), train, test
 
 

@@ -110,10 +110,17 @@ class Run:
     held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", _frozen(self.t))
-        for field_name in ("channels", "wrapped"):
-            tables = {name: _frozen(data) for name, data in getattr(self, field_name).items()}
-            object.__setattr__(self, field_name, tables)
+        try:
+            object.__setattr__(self, "t", _frozen(self.t))
+            for field_name in ("channels", "wrapped"):
+                tables = {name: _frozen(data) for name, data in getattr(self, field_name).items()}
+                object.__setattr__(self, field_name, tables)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise UndertowError(
+                f"run {self.name!r:.60}: {error}: give t as an array of numbers, channels as arrays by name"
+            ) from error
+        if self.t.ndim != 1:
+            raise UndertowError(f"run {self.name!r:.60}: t has shape {self.t.shape}: give one time a sample")
         for name, data in (*self.channels.items(), *self.reported.items()):
             if data.shape != self.t.shape:
                 raise UndertowError(

@@ -579,6 +579,8 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
 
 def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
     """The log of one run: a vehicle's own, or several tables; a single table is refused."""
+    if not paths:
+        raise UndertowError("no log is given: give the path of at least one file")
     if len(paths) == 1:
         return read_field_log(paths[0], messages)
     for path in paths:
