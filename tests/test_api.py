@@ -137,6 +137,7 @@ def test_the_path_of_a_vehicle_is_no_vehicle(run: ut.Run) -> None:
     ("options", "message"),
     [
         ({"start": {"x": "0.5 m"}}, r"start: x is given as str \('0.5 m'\): give a number in SI"),
+        ({"start": {"phi": 0.1}}, "start: 'phi' is not a coordinate of the pose of 'box-hull'"),
         ({"uncertain": {"m": "5%"}}, r"m is given as str \('5%'\): give a number"),
         ({"covariance": (["X_u"], np.eye(2))}, r"covariance of 1 parameters has shape \(2, 2\)"),
         ({"covariance": (["X_u"], [[np.nan]])}, "covariance of X_u is not finite"),

@@ -57,6 +57,8 @@ def test_a_file_of_a_type_is_complete_and_says_where_its_numbers_are_from(kind: 
     assert {"rigid_body", "added_mass", "quadratic_damping"} <= {e.id for e in vehicle.effects}
     assert not any("nothing damps" in line or "absent" in line for line in hints(vehicle))
     assert vehicle.force_channels == ()
+    limits = {n: np.degrees(vehicle.command_limits.get(n, np.inf)) for n in vehicle.angle_names}
+    assert limits == pytest.approx(dict.fromkeys(limits, 35.0 if kind == "ship" else 20.0), abs=0.1)
     assert len(vehicle.thrusters) == {"rov6": 6, "rov8": 8, "torpedo": 3, "glider": 1, "azimuth": 4}.get(
         kind, 2
     )

@@ -267,6 +267,7 @@ class Hardware:
     direction: tuple[float, float, float]  # of its force for a positive command
     source: str
     at_rest: bool = True  # whether it pushes at rest, a unit per unit of its command
+    limit: str = ""  # of its command, with what it is assumed from
 
     def acts_in(self, degrees_of_freedom: Iterable[str]) -> bool:
         """Whether its force, or the moment of that about the origin, drives one of some motions."""

@@ -345,9 +345,9 @@ def _steering(fins: float, surfaces: tuple[str, ...], propeller: bool = True) ->
 
 
 def _surface(name: str, place: float, direction: tuple[float, float, float]) -> Hardware:
-    return Hardware(
-        name, (place, 0.0, 0.0), direction, "assumed: tail fins as REMUS 100 has them", at_rest=False
-    )
+    limit = "0.349 # rad; assumed: 20 deg, as remus100.m of MSS (Fossen) has it"
+    source = "assumed: tail fins as REMUS 100 has them"
+    return Hardware(name, (place, 0.0, 0.0), direction, source, at_rest=False, limit=limit)
 
 
 # --- ships ----------------------------------------------------------------------------------------
@@ -383,7 +383,12 @@ def _ship(size: MainDimensions) -> Made:
     hardware = [
         Hardware("propeller", (stern, 0.0, 0.0), (1.0, 0.0, 0.0), "at the stern, on the centre line"),
         Hardware(
-            "rudder", (stern, 0.0, 0.0), (0.0, -1.0, 0.0), "at the stern; positive turns right", at_rest=False
+            "rudder",
+            (stern, 0.0, 0.0),
+            (0.0, -1.0, 0.0),
+            "at the stern; positive turns right",
+            at_rest=False,
+            limit="0.611 # rad; assumed: 35 deg, as SOLAS II-1/29 asks of steering gear",
         ),
     ]
     about = "A ship with one propeller and one rudder; commands are thrust in N and angle in rad."

@@ -147,7 +147,9 @@ def gains(
             forms=[form] if form else [],
             iota=iota,
             tilt=tilt,
-            start=quantities("--start", [start], MOTION_UNITS) if start is not None else None,
+            start=quantities("--start", [start], MOTION_UNITS, example="x=0.5")
+            if start is not None
+            else None,
             uncertain=_shares(uncertain),
             observer=observer,
             progress=report,

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from undertow.control.gains import GainSet, allocation_of
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, nearest, refuse_unknown
 from undertow.typing import Array, Flags, Progress
 
 from .attitude import Certificate
@@ -87,12 +87,9 @@ def check(
 
 
 def _require_start(gains: GainSet, start: Mapping[str, float] | None) -> None:
-    known = gains.signals.coordinates
+    wrong = f" is not a coordinate of the pose of '{gains.plant.vehicle.name}'"
+    refuse_unknown(start or {}, gains.signals.coordinates, "start: ", wrong, "give errors of")
     for name, size in (start or {}).items():
-        if name not in known:
-            raise UndertowError(
-                f"start: '{gains.plant.vehicle.name}' has no {name}, it has {', '.join(known)}"
-            )
         if not 0 <= size < np.inf:
             raise UndertowError(f"start: {name} = {size:g} is not the size of an error: give zero or more")
     if start is not None and not any(start.values()):
