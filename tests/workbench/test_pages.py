@@ -207,6 +207,8 @@ def test_what_is_missing_lists_candidates_and_draws_the_one_pointed_at(place: Wo
 def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place: Workspace) -> None:
     found = place.result("diagnose")
     assert found is not None
+    alike = {"effects": ["slosh", "lift"], "reason": ""}  # a set beside the effect that is established
+    found["diagnosis"] |= {"verdict": "indistinguishable", "indistinguishable": [alike]}
     found["candidates"][0] |= {"confused": ["constant_force"], "tell": "turn on the spot for 40 s"}
     left = found["diagnosis"]["remaining"][0]
     left["summary"] = "surge: 0.4 N rms correlates with |u| u"
@@ -220,6 +222,7 @@ def test_rivals_come_with_the_manoeuvre_and_what_remains_becomes_an_effect(place
 
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=missing")
+        await user.should_see("An effect is missing, and another that these logs cannot tell from others")
         said = _texts(user)
         assert "These logs hardly distinguish it from constant_force." in said
         assert "To tell them apart: turn on the spot for 40 s" in said

@@ -12,7 +12,8 @@ from typing import Any
 from nicegui import ui
 
 from undertow.figures import unit_text
-from undertow.identification.report.page import meanings, parameter_text
+from undertow.identification.diagnosis.result import Diagnosis
+from undertow.identification.report.page import meaning, parameter_text
 from undertow.identification.report.sentences import CommandLine
 from undertow.model.describe import equations_on
 from undertow.model.effect import Effect
@@ -61,7 +62,8 @@ def _verdict(found: Mapping[str, Any], current: bool) -> None:
     if not current:
         stale()
     diagnosis = found["diagnosis"]
-    ui.label(meanings()[diagnosis["verdict"]].title).classes("text-base font-medium").mark("verdict")
+    title = meaning(Diagnosis.model_validate(diagnosis)).title
+    ui.label(title).classes("text-base font-medium").mark("verdict")
     ui.label(diagnosis["headline"]).classes("text-sm")
     for text in diagnosis["warnings"]:
         ui.label(text).classes("text-sm text-amber-900 bg-amber-1 px-2 rounded")
