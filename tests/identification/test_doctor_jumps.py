@@ -9,7 +9,7 @@ import pytest
 
 from tests.identification.logs_of import run_of
 from undertow.identification.doctor.examine import examine
-from undertow.identification.doctor.jumps import coarse_positions, position_jumps, shifts_at_ease
+from undertow.identification.doctor.jumps import coarse_positions, pose_steps, position_jumps
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.model.loading import load_vehicle
 
@@ -64,8 +64,9 @@ def test_steps_that_a_vehicle_may_have_moved_are_no_sure_shifts_of_the_origin(
     run = velocities_from_pose(run_of("dive", {"t": t, **pose}), ("heave", "pitch"))
     assert len(run.shifts["theta"]) == 5
     np.testing.assert_allclose(run.shifts["theta"], np.tile([0.5, step], (5, 1)), atol=0.01)
-    findings = list(shifts_at_ease(load_vehicle("glider"), [run]))
+    findings = list(pose_steps(load_vehicle("glider"), [run]))
     assert [f.text.split()[1] for f in findings] == found
+    assert {f.id for f in findings} <= {"pose_steps"}
     assert all("theta changes 5 times by up to 0.5 rad" in f.text for f in findings)
 
 
@@ -78,7 +79,7 @@ def test_a_heading_that_jumps_beside_a_vehicle_without_yaw_is_no_motion_of_it() 
     run = velocities_from_pose(run_of("log", pose), vehicle.degrees_of_freedom)
     assert "psi" in run.shifts
     assert not run.has("r")
-    assert not list(shifts_at_ease(vehicle, [run]))
+    assert not list(pose_steps(vehicle, [run]))
 
 
 @pytest.mark.parametrize(("digits", "found"), [(0.4, True), (0.001, False)])

@@ -35,7 +35,7 @@ from .dynamics import (
 )
 from .forces import doubtful_unit, exceeded_limits, impossible
 from .headings import heading_findings, heading_off
-from .jumps import coarse_positions, position_jumps, shifts_at_ease
+from .jumps import coarse_positions, pose_steps, position_jumps
 from .kinematics import Kinematics, rms
 from .mistakes import (
     POSITIONS,
@@ -383,7 +383,7 @@ class _Examiner:
         self.findings += heading_findings(self.vehicle, self.mapping, self.runs)
         self.findings += exceeded_limits(self.vehicle, self.runs)
         self.findings += position_jumps(self.vehicle, self.runs)
-        self.findings += shifts_at_ease(self.vehicle, self.runs)
+        self.findings += pose_steps(self.vehicle, self.runs)
         self.findings += coarse_positions(self.runs)
         self._undo_deviation()
         kinematics = self.kinematics

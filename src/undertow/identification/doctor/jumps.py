@@ -27,7 +27,7 @@ class JumpSettings:
     # Acceleration, in g, below which a vehicle may have moved what was taken for a shift of the origin, from
     # rest to rest: a change of cameras by 5 cm in 20 ms needs 50, one of satellites by 0.5 m in 1 s 0.2; a
     # glider that is logged every 10 s and pitches by 30 degrees in between 0.001.
-    at_ease: float = 0.1
+    attainable: float = 0.1
     # Share of the motion (mean square) that they would be, from which they are reported: of a glider that is
     # logged every 10 s they are far more than all of the rest, small glitches of a heading 0.02 and less.
     missed: float = 0.1
@@ -65,19 +65,19 @@ def position_jumps(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     )
 
 
-def shifts_at_ease(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
+def pose_steps(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
     """Steps of a pose that were taken for shifts of its origin, and that its vehicle may have moved."""
     size = size_of(vehicle)
     if size is None:
         return
     own = dict(zip(vehicle.pose_names, vehicle.velocity_names, strict=True))  # psi may be there without yaw
     shifted = ((run, name) for run in runs for name in run.shifts if name in own)
-    found = [(run, n, s) for run, n in shifted if len(s := _at_ease(vehicle, run, n, size))]
+    found = [(run, n, s) for run, n in shifted if len(s := _attainable(vehicle, run, n, size))]
     for name in dict.fromkeys(n for _, n, s in found if len(s) >= SETTINGS.fewest):
         run, _, steps = max((f for f in found if f[1] == name), key=lambda f: len(f[2]))
         velocity, (largest, step) = VELOCITY[POSE.index(name)], steps[np.argmax(steps[:, 0])]
         yield Finding(
-            id="shifts_at_ease",
+            id="pose_steps",
             severity="warning",
             text=f"{run.name}: {name} changes {len(steps)} times by up to {largest:.2g} {UNITS[name]} from "
             f"one sample to the next ({step:.3g} s), too suddenly for the samples around it: they count "
@@ -88,11 +88,11 @@ def shifts_at_ease(vehicle: Vehicle, runs: Sequence[Run]) -> Iterator[Finding]:
         )
 
 
-def _at_ease(vehicle: Vehicle, run: Run, name: str, size: float) -> Array:
+def _attainable(vehicle: Vehicle, run: Run, name: str, size: float) -> Array:
     """Shifts of a pose that need little acceleration from rest to rest, (k, 2); none if all are small."""
     lever = 1.0 if name in ("x", "y", "z") else size
     needed = 4.0 * lever * run.shifts[name][:, 0] / run.shifts[name][:, 1] ** 2
-    slow = run.shifts[name][needed < SETTINGS.at_ease * vehicle.environment["g"]]
+    slow = run.shifts[name][needed < SETTINGS.attainable * vehicle.environment["g"]]
     velocity = run.channels[VELOCITY[POSE.index(name)]]
     moved = float(np.nanmean(velocity**2)) * (run.t[-1] - run.t[0])
     return slow if np.sum(slow[:, 0] ** 2 / slow[:, 1]) > SETTINGS.missed * moved else slow[:0]
