@@ -99,6 +99,12 @@ def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: 
     assert table["history"][0]["helps"] is False
 
 
+def test_a_value_at_its_bound_is_said(quick: Path, capsys: Capture) -> None:
+    log = "train.csv"
+    assert main(["add", "dry_friction", "usv.toml", log, "--no-codegen", "--all", "--force"]) == 0
+    assert "X_signu at its bound 0" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("effect", "words", "message"),
     [

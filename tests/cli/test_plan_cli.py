@@ -149,6 +149,7 @@ REFUSED = {
     "no such effect": (["--between", "ocean_curent,lift"], "did you mean 'ocean_current'"),
     "an effect that is there": (["--between", "linear_damping,lift"], "adds no parameter"),
     "goal without models": (["--goal", "separate"], "--between"),
+    "goal without a name": (["--goal", "separate", "--between", " ,"], "--goal separate needs the effects"),
     "models without the goal": (["--goal", "parameters", "--between", "lift"], "--goal separate"),
     "two sources of models": (["--between", "lift", "--diagnosis", "found.json"], "give only one"),
     "parameters and models": (["--between", "lift", "--only", "X_u"], "--only"),

@@ -82,7 +82,7 @@ def new_file(target: Path, force: bool, inputs: Iterable[str | Path]) -> Path:
 
 def names_and_values(option: str, texts: Iterable[str], example: str) -> list[tuple[str, str]]:
     """Names and values out of "u=0.5" and "x=1,z=2"."""
-    parts = [word.partition("=") for word in words(texts)]
+    parts = [word.partition("=") for text in texts for word in words([text]) or [text]]
     wrong = [name for name, mark, value in parts if not (mark and name.strip() and value.strip())]
     if wrong:
         raise UndertowError(f"{option} {wrong[0]}: write NAME=VALUE, such as {example}")
@@ -94,8 +94,8 @@ def names_and_values(option: str, texts: Iterable[str], example: str) -> list[tu
 
 
 def words(texts: Iterable[str]) -> list[str]:
-    """The parts of texts that have commas in them."""
-    return [word for one in texts for word in one.split(",")]
+    """The parts of texts that have commas in them, without those that are blank."""
+    return [word.strip() for one in texts for word in one.split(",") if word.strip()]
 
 
 def number_or_text(value: str) -> float | str:

@@ -22,7 +22,7 @@ import typer
 
 from undertow.errors import listed
 
-from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
+from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of, words
 from .._terminal import progress, say, section, table
 from ._logs import HoldoutOption, LogOptions, LogsArgument, refuse_vehicle_as_effect, say_long
 
@@ -60,7 +60,7 @@ def add(
     from undertow.identification.long_logs.choosing import FIT
     from undertow.model.catalogue import lookup
 
-    known, effects = options.known, [name.strip() for name in effect.split(",")]
+    known, effects = options.known, words([effect])
     refuse_vehicle_as_effect(effect, vehicle, known)
     for name in effects:
         lookup(name, known)  # before any log is read
@@ -120,6 +120,8 @@ def show(addition: Addition) -> None:
     for name in addition.kept:
         spread = f"± {errors[name]:.1g} " if errors[name] < UNDETERMINED else ""
         say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
+    for line in addition.fit.active:
+        say(f"  {line}", "yellow")
     if addition.dropped:
         say(f"left out (zero within their error, or predicting no better): {', '.join(addition.dropped)}")
 

@@ -140,7 +140,7 @@ def plan(
 
     logs = logs or []
     check_writable(out, picture, json, inputs=[vehicle, *logs, *options.files, *filter(None, [diagnosis])])
-    _check_goal(goal, between or [], diagnosis, only or [])
+    _check_goal(goal, words(between or []), diagnosis, words(only or []))
     limits = motion.limits
     largest = {n: _limit(value) for n, value in _named("--limit", limit or [], whole=True).items()}
     sigma = {n: _number("--noise", value) for n, value in _named("--noise", noise or [], whole=False).items()}
@@ -162,8 +162,8 @@ def plan(
                 limits=largest,
                 noise=sigma,
             ),
-            only=_listed(only or []),
-            between=_listed(between or []),
+            only=words(only or []),
+            between=words(between or []),
             diagnosis=diagnosis,
             known=options.known,
             trust_log=options.trust_log,
@@ -208,13 +208,9 @@ def _check_goal(
         raise UndertowError(f"--only is for --goal parameters: leave it or {given[0]} out")
 
 
-def _listed(texts: Sequence[str]) -> list[str]:
-    return [word.strip() for word in words(texts) if word.strip()]
-
-
 def _named(option: str, texts: Sequence[str], *, whole: bool) -> dict[str, str]:
     """``NAME=VALUE``, or ``VALUE`` alone (named "") where `whole` allows it."""
-    listed = _listed(texts)
+    listed = words(texts)
     alone = [word for word in listed if whole and "=" not in word]
     named = names_and_values(option, [word for word in listed if word not in alone], "u=0.01")
     return dict([*(("", word) for word in alone), *named])

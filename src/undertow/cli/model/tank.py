@@ -28,7 +28,7 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import JsonOption
+from .._options import JsonOption, words
 from .._terminal import console, print_json, progress, say, table, write_files
 from .vehicle import FrameOption, UnitOption, read
 
@@ -105,8 +105,8 @@ def new(
     surface = read(hull, unit, frame).mesh
     plan = TankPlan(
         mass=mass,
-        motions=motions([m.strip() for m in motion.split(",")]),
-        profiles=[p.strip() for p in profile.split(",")],
+        motions=motions(words([motion])),
+        profiles=words([profile]),
         prescribed=prescribed,
         speed=speed,
         force=force_peak,

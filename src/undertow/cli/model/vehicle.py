@@ -26,7 +26,7 @@ import typer
 
 from undertow.errors import UndertowError
 
-from .._options import NewForceOption, new_file
+from .._options import NewForceOption, new_file, words
 from .._terminal import console, progress, say, table, text
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def new(
     from undertow.model.symbols import DOFS
     from undertow.shape.hull_vehicle import HullSpec, hull_vehicle, motions
 
-    chosen = None if dof is None else motions([d.strip() for d in dof.split(",")])
+    chosen = None if dof is None else motions(words([dof]))
     sides = (length, beam, height)
     if log is not None or (tank is not None and mesh is None):
         if any(given is not None for given in (mass, mesh, kind, *sides, tank and log)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -163,6 +163,12 @@ class Indistinguishable(ResultTable):
     reason: str  # why
     separated_by: str = ""  # manoeuvre that would tell them apart
     separable: bool | None = None  # whether a run is known that would; null if none was looked for
+
+
+def established(effects: Iterable[str], sets: Iterable[Indistinguishable]) -> list[str]:
+    """The named effects that no other effect could replace."""
+    alike = {e for s in sets for e in s.effects}
+    return [e for e in effects if e not in alike]
 
 
 class Equivalent(ResultTable):

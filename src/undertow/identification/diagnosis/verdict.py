@@ -32,7 +32,16 @@ from .candidates import Candidate
 from .consistency import undetermined_by_fit
 from .evidence import EffectSet, FoundEffect, IsNoise, explained, fitted
 from .grading import Graded, doubt_of_companion
-from .result import NO_EVIDENCE, Equivalent, Estimate, Indistinguishable, Predictability, ValuesByRun, Verdict
+from .result import (
+    NO_EVIDENCE,
+    Equivalent,
+    Estimate,
+    Indistinguishable,
+    Predictability,
+    ValuesByRun,
+    Verdict,
+    established,
+)
 from .rounds import other_values
 from .search import Search
 from .selection import Selection
@@ -268,12 +277,11 @@ def _headline(
     share: float,
     residual_is_noise: bool,
 ) -> str:
-    indistinguishable = {e for s in sets for e in s.effects}
     rest = _share_in_words(len(unique_ids(winners)), share)
     if residual_is_noise:
         beside = " and ".join(unique_ids(helping))
         rest = f"with {beside} as well, only noise remains" if beside else "what remains is noise"
-    names = " and ".join(n for n in unique_ids(winners) if n not in indistinguishable)
+    names = " and ".join(established(unique_ids(winners), sets))
     if not sets:
         return f"Missing: {names}; {rest}."
     choice = "; ".join(" or ".join(s.effects) for s in sets)

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from undertow.figures import svg, unit_text
 from undertow.files import templates
 from undertow.identification.comparison import Comparison, Profile
-from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked
+from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, established
 from undertow.identification.estimation.predictor import Predictor, predict, predict_each
 from undertow.identification.estimation.weak_form import adapted
 from undertow.identification.estimation.windows import Prediction, cut
@@ -44,7 +44,7 @@ from .pictures import (
     ranking,
     residual_against,
 )
-from .sentences import chance, established, significance_text
+from .sentences import chance, significance_text
 
 # --- results of a model for a report --------------------------------------------------------------
 _CURVES = 9  # variables that residual forces are drawn against
@@ -275,7 +275,7 @@ def meaning(diagnosis: Diagnosis) -> Meaning:
     key = str(diagnosis.verdict)
     if key == "adequate" and diagnosis.freed:
         key = "other_values"
-    elif key == "indistinguishable" and established(diagnosis):
+    elif key == "indistinguishable" and established(diagnosis.effects, diagnosis.indistinguishable):
         key = "one_of_several_too"
     found = meanings()[key]
     if not any(run.role == "blocks" for run in diagnosis.runs):

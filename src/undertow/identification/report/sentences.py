@@ -10,7 +10,7 @@ from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
 from undertow.errors import listed
-from undertow.identification.diagnosis.result import NO_EVIDENCE, Diagnosis, Ranked, Step
+from undertow.identification.diagnosis.result import NO_EVIDENCE, Diagnosis, Ranked, Step, established
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
@@ -238,7 +238,8 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     they, them = ("it is", "it") if len(diagnosis.helps) < 2 else ("they are", "them")
     not_the_cause = f"{they} not established as the cause: use {them} to predict, not to explain."
     leaders = listed(s.effects[0] for s in diagnosis.indistinguishable)
-    same = f"the same as {leaders}" if established(diagnosis) else "the same"
+    certain = established(diagnosis.effects, diagnosis.indistinguishable)
+    same = f"the same as {leaders}" if certain else "the same"
     apart = ": record the run that tells them apart before concluding that one of them is the cause"
     if not _separable(diagnosis):
         apart = (
@@ -262,12 +263,6 @@ def first_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.freed and diagnosis.verdict not in sentences:
         return f"{change}. {unexplained}"
     return sentences.get(diagnosis.verdict, unexplained)
-
-
-def established(diagnosis: Diagnosis) -> list[str]:
-    """The named effects that no other effect could replace."""
-    alike = {e for s in diagnosis.indistinguishable for e in s.effects}
-    return [e for e in diagnosis.effects if e not in alike]
 
 
 def _separable(diagnosis: Diagnosis) -> bool:
