@@ -14,17 +14,22 @@ class UndertowError(Exception):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(_one_line(message))
+        line = one_line(message)
+        half = _LONGEST // 2
+        super().__init__(line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}")
 
 
 _LONGEST = 1500
 
 
-def _one_line(message: str) -> str:
-    spaced = " ".join(message.split())
-    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in spaced)
-    half = _LONGEST // 2
-    return plain if len(plain) <= _LONGEST else f"{plain[:half]} ... {plain[-half:]}"
+def one_line(text: str) -> str:
+    """Text in one line; control characters, which names in files may hold, do not reach the terminal."""
+    return printable(" ".join(text.split()))
+
+
+def printable(text: str) -> str:
+    """Text with control characters and line breaks as their escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def listed(parts: Iterable[str]) -> str:

@@ -224,11 +224,3 @@ def test_the_command_prints_sizes_and_several_controllers_are_one_library(
     assert "includes=" + ",".join(f"mini_auv_{p}.h" for p in parts) in text
     assert main([*words, "--controller", "paper-pid"]) == 2
     assert "'paper-pid' would be written as mini_auv_paper_pid.c, which is taken" in capsys.readouterr().err
-
-
-def test_the_name_of_the_last_release_points_to_the_new_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["codegen", "mini-auv"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "error: 'undertow codegen' is 'undertow export c' now, with the same options\n"
-    )

@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from undertow.errors import printable
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -166,8 +168,7 @@ def text(content: str, style: str = "") -> Any:
     """
     from rich.text import Text
 
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in content)
-    return Text(_encodable(shown, _encoding()), style=style)
+    return Text(_encodable(printable(content), _encoding()), style=style)
 
 
 def _encoding() -> str:

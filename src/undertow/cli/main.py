@@ -19,7 +19,7 @@ from typer.core import TyperCommand
 
 import undertow.cli as package
 from undertow.cli._terminal import hide_warnings, open_streams
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, one_line
 from undertow.version import __version__
 
 from ._terminal import repeated_interrupts
@@ -27,8 +27,6 @@ from ._terminal import repeated_interrupts
 _TAKING_SEVERAL = {"--holdout"}
 # Commands that stand in the file of another one, which is about the same; their help is the function's.
 _IN_FILE_OF = {"audit-tables": "audit"}
-# Commands of the last release, for one release.
-_RENAMED = {"codegen": "export c"}
 
 
 def commands() -> dict[str, str]:
@@ -178,11 +176,11 @@ def _report_failure(failure: BaseException) -> int:
     if isinstance(failure, KeyboardInterrupt | typer.Abort):
         return _line("interrupted", INTERRUPTED)
     if isinstance(failure, UndertowError):
-        return _line(f"error: {_one_line(str(failure))}", INPUT_ERROR)
+        return _line(f"error: {failure}", INPUT_ERROR)
     if isinstance(failure, typer.TyperException):
         return _usage(failure)
     if isinstance(failure, OSError) and failure.strerror:
-        return _line(_one_line(f"error: {_place(failure)}{failure.strerror.lower()}"), INPUT_ERROR)
+        return _line(one_line(f"error: {_place(failure)}{failure.strerror.lower()}"), INPUT_ERROR)
     return _bug(failure)
 
 
@@ -191,7 +189,7 @@ def _usage(failure: typer.TyperException) -> int:
     if not message.startswith("Usage:"):  # a bare group asks for its help to be shown
         context = getattr(failure, "ctx", None)
         path = context.command_path if context else "undertow"
-        message = f"error: {_one_line(message).rstrip('.')}; see {path} --help"
+        message = f"error: {one_line(message).rstrip('.')}; see {path} --help"
     return _line(message, INPUT_ERROR)
 
 
@@ -206,12 +204,6 @@ def _bug(failure: BaseException) -> int:
     traceback.print_exception(failure)
     where = f"undertow {__version__}, Python {platform.python_version()}, {platform.system()}"
     return _line(f"This is a bug in undertow: please report it with the lines above ({where}).", _BUG)
-
-
-def _one_line(text: str) -> str:
-    """Text in one line; control characters, which names in files may hold, do not reach the terminal."""
-    line = " ".join(text.split())
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 def _line(text: str, code: int = 0) -> int:
@@ -243,15 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:  # the process is ours
         hide_warnings()
     words = _verbose_first(arguments)
-    return run(lambda: _root().main(_present(words), prog_name="undertow", standalone_mode=False))
-
-
-def _present(words: list[str] | None) -> list[str] | None:
-    """The words, unless they ask for a command of the last release."""
-    first = next((word for word in words or () if not word.startswith("-")), "")
-    if first in _RENAMED:
-        raise UndertowError(f"'undertow {first}' is 'undertow {_RENAMED[first]}' now, with the same options")
-    return words
+    return run(lambda: _root().main(words, prog_name="undertow", standalone_mode=False))
 
 
 def _root() -> Any:
