@@ -195,7 +195,12 @@ def test_sums_are_positive_only_where_each_of_them_is(counts: tuple[int, ...]) -
 
 @pytest.mark.parametrize(
     ("start", "reported"),
-    [("x:1", "write NAME=VALUE"), ("q=1", "has no q"), ("x=-1", "not the size of an error"), ("x=0", "zero")],
+    [
+        ("x:1", "write NAME=VALUE"),
+        ("q=1", "'q' is not a coordinate"),
+        ("x=-1", "not the size of an error"),
+        ("x=0", "zero"),
+    ],
 )
 def test_a_start_that_is_none_is_bad_input(
     start: str, reported: str, capsys: pytest.CaptureFixture[str]
@@ -205,7 +210,7 @@ def test_a_start_that_is_none_is_bad_input(
 
 
 def test_a_start_of_a_coordinate_that_the_vehicle_has_not_is_reported() -> None:
-    with pytest.raises(UndertowError, match="has no theta"):
+    with pytest.raises(UndertowError, match="'theta' is not a coordinate of the pose"):
         certify(law(sinker(), "pd"), start={"theta": 0.1})
 
 
