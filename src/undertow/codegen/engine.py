@@ -19,7 +19,7 @@ from undertow.typing import Array, Integers
 
 from .compiler import LANES, Bound, Compiler, compiled_or_virtual, library_for, loaded, plain_c, pointer
 from .functions import Functions, solve_symmetric
-from .source import INSTRUCTIONS, c_file, engine_file, engine_source, integers, with_entry
+from .source import INSTRUCTIONS, c_file, engine_file, engine_source, integers, with_entries
 
 _NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name in INSTRUCTIONS}
 
@@ -386,8 +386,8 @@ class Entries:
         """The entry point for so many lanes."""
         with self._building:
             if lanes not in self._known:
-                source, name = self._source(lanes)
-                entry: Any = getattr(loaded(library_for(source, self._compiler)), name)
+                source, prefix = self._source(lanes)
+                entry: Any = getattr(loaded(library_for(source, self._compiler)), f"{prefix}run")
                 entry.restype = None
                 self._known[lanes] = entry
         return self._known[lanes]
@@ -422,10 +422,10 @@ def _address(array: Array) -> ctypes.c_void_p:
 
 
 def rollout_source(functions: Functions, lanes: int) -> tuple[str, str]:
-    """C source of a simulation and the name of its entry point, which carries the hash of the source."""
+    """C source of a simulation, and what the name of its entry point begins with."""
     model = model_source(functions)
     text = "\n".join([defines([("LANES", lanes)]), LANES_HEADER, model, c_file("rollout.c")])
-    return with_entry(text, "RUN", "simulate")
+    return with_entries(text, "run")
 
 
 def model_source(functions: Functions) -> str:
@@ -604,14 +604,14 @@ class InterpretedModel:
 # --- a model that is compiled ---------------------------------------------------------------------
 def compiled_tangents(functions: Functions, wrt: Sequence[int], compiler: Compiler) -> Tangents:
     """The simulation compiled for these parameters to differentiate by, with -1 for each initial state."""
-    source, name = tangents_source(functions, wrt)
-    run = getattr(loaded(library_for(source, compiler.for_this_machine())), name)
+    source, prefix = tangents_source(functions, wrt)
+    run = getattr(loaded(library_for(source, compiler.for_this_machine())), f"{prefix}simulate")
     run.restype = ctypes.c_int64
     return Tangents(run)
 
 
 def tangents_source(functions: Functions, wrt: Sequence[int]) -> tuple[str, str]:
-    """C source of the simulation, and the name of its entry point, which carries the hash of the source."""
+    """C source of the simulation, and what the name of its entry point begins with."""
     places = [k for k in wrt if k >= 0]
     inverse, slopes, steady = _parts(functions, places)
     sizes = {
@@ -632,7 +632,7 @@ def tangents_source(functions: Functions, wrt: Sequence[int]) -> tuple[str, str]
     model = plain_c(inverse, "inverse", prefix=prefix)
     model += plain_c(slopes, "slopes", packed=("R_x", "R_p"), prefix=prefix)
     text = "\n".join([*lines, c_file("portable.h"), model, c_file("tangents.c")])
-    return with_entry(text, "SIMULATE", "simulate")
+    return with_entries(text, "simulate")
 
 
 def _parts(functions: Functions, places: Sequence[int]) -> tuple[ca.Function, ca.Function, bool]:

@@ -16,7 +16,7 @@ from undertow.typing import Array
 from .compiler import LANES, Compiler, library_for, loaded, plain_c, pointer
 from .engine import LANES_HEADER, at_samples
 from .functions import Functions
-from .source import c_file, digest, integers
+from .source import c_file, integers, with_entries
 
 # As many samples as fit in one instruction.
 _LANES = """\
@@ -143,10 +143,7 @@ def gram_source(rows: Layout) -> tuple[str, str]:
         lines.append(integers(name, values))
     lines.append(plain_c(f, "entries_of_rows", words=LANES, shared=("p",), prefix="static SEPARATE "))
     lines.append(c_file("gram.c"))
-    text = "\n".join(lines)
-    prefix = f"undertow_{digest(text)[:16]}_"
-    names = "".join(f"#define {n.upper()} {prefix}{n}\n" for n in ("gram", "build"))
-    return names + text, prefix
+    return with_entries("\n".join(lines), "gram", "build")
 
 
 def _tiles(starts: list[int]) -> int:

@@ -69,10 +69,10 @@ def with_unique_symbols(source: str, names: Sequence[str]) -> tuple[str, str]:
     return re.sub(rf"\b(?=(?:{exported})(?:_[a-z]+)*\b)", prefix, source), prefix
 
 
-def with_entry(text: str, macro: str, ending: str) -> tuple[str, str]:
-    """The source with its entry point, which it calls by a macro, named by its own hash, and that name."""
-    name = f"undertow_{digest(text)[:16]}_{ending}"
-    return f"#define {macro} {name}\n{text}", name
+def with_entries(text: str, *names: str) -> tuple[str, str]:
+    """The source with its entry points, called by macros in capitals, and what their names begin with."""
+    prefix = f"undertow_{digest(text)[:16]}_"
+    return "".join(f"#define {name.upper()} {prefix}{name}\n" for name in names) + text, prefix
 
 
 def integers(name: str, values: Sequence[int]) -> str:
@@ -122,10 +122,7 @@ def engine_source() -> tuple[str, str]:
         c_file("tape.c"),
         c_file("tangents.c"),
     ]
-    text = "\n".join(parts)
-    prefix = f"undertow_{digest(text)[:16]}_"
-    entries = [f"#define {name.upper()} {prefix}{name}" for name in ("at_samples", "carry", "simulate")]
-    return "\n".join([*entries, text]), prefix
+    return with_entries("\n".join(parts), "at_samples", "carry", "simulate")
 
 
 def engine_file() -> Path:

@@ -13,7 +13,7 @@ from undertow.codegen.compiler import LANES, Compiler, plain_c, pointer
 from undertow.codegen.engine import LANES_HEADER, Entries, defines, lanes_for, packed, unpacked
 from undertow.codegen.manifest import whole_samples
 from undertow.codegen.simulate import runge_kutta
-from undertow.codegen.source import c_file, integers, with_entry
+from undertow.codegen.source import c_file, integers, with_entries
 from undertow.errors import UndertowError
 from undertow.observer.design import Design
 
@@ -198,7 +198,7 @@ def _address(array: np.ndarray | None) -> ctypes.c_void_p:
 
 
 def loop_source(parts: Interconnection, lanes: int = 1) -> tuple[str, str]:
-    """C source of closed loops and the name of the entry point, which carries the hash of the source."""
+    """C source of closed loops, and what the name of its entry point begins with."""
     form = parts.functions.prepared
     late = parts.observer if parts.observer and parts.observer.past_steps else None
     control = [late.due, late.replayed, parts.present] if late else [parts.control]
@@ -230,7 +230,7 @@ def loop_source(parts: Interconnection, lanes: int = 1) -> tuple[str, str]:
     model += _late_observer_c(late, parts) if late else []
     loop = c_file("loop.c", "undertow.control.closed_loop")
     text = "\n".join([defines(sizes.items()), LANES_HEADER, *model, loop])
-    return with_entry(text, "RUN", "run")
+    return with_entries(text, "run")
 
 
 def _late_observer_c(observer: Design, parts: Interconnection) -> list[str]:

@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import csr_array, dia_array, diags_array, eye_array, kron, tril
 
 from undertow.codegen.compiler import Compiler, compiled_or_virtual, library_for, loaded, pointer
-from undertow.codegen.source import EXPORTED, digest
+from undertow.codegen.source import EXPORTED, with_entries
 from undertow.typing import Array, Index
 
 
@@ -290,7 +290,7 @@ def _places(pattern: ca.Sparsity) -> tuple[Index, Index]:
 
 # Right-hand sides that go through an operation together.
 _SIDE = 8
-_NAMES = ("TESTED", "SOLVED")
+_NAMES = ("tested", "solved")
 
 
 class _Supports(ctypes.Structure):
@@ -307,7 +307,7 @@ class SumsInC:
     def __init__(self, compiler: Compiler) -> None:
         source, prefix = sums_source()
         library = loaded(library_for(source, compiler.for_this_machine()))
-        self._call = {n: getattr(library, prefix + n.lower()) for n in _NAMES}
+        self._call = {n: getattr(library, prefix + n) for n in _NAMES}
         for entry in self._call.values():
             entry.restype = None
 
@@ -319,7 +319,7 @@ class SumsInC:
         first, places = (np.ascontiguousarray(a, dtype=np.int64) for a in (windows.first, target))
         sums = np.empty(data.shape[1])
         about = _Supports(count, width, windows.samples, first.ctypes.data, windows.weights.ctypes.data)
-        self._call["TESTED"](
+        self._call["tested"](
             ctypes.byref(about),
             ctypes.c_int64(data.shape[1]),
             pointer(data),
@@ -337,7 +337,7 @@ class SumsInC:
         found[:, : right.shape[1]] = right
         by_column = np.ascontiguousarray(factor.T)
         sizes = map(ctypes.c_int64, (len(factor), len(right), columns))
-        self._call["SOLVED"](*sizes, pointer(by_column), pointer(found))
+        self._call["solved"](*sizes, pointer(by_column), pointer(found))
         return found[:, : right.shape[1]]
 
 
@@ -365,9 +365,7 @@ def _sums() -> SumsInC | SumsInNumPy:
 def sums_source() -> tuple[str, str]:
     """C source of the sums, and what the names of its entry points begin with: they carry its hash."""
     text = (files("undertow.identification.estimation") / "sums.c").read_text(encoding="utf-8")
-    prefix = f"undertow_{digest(EXPORTED + text)[:16]}_"
-    names = [f"#define {n} {prefix}{n.lower()}" for n in _NAMES]
-    return "\n".join([*names, EXPORTED, text]), prefix
+    return with_entries(f"{EXPORTED}\n{text}", *_NAMES)
 
 
 def _adjacent_runs(chosen: Index, kind: Index) -> Index:
