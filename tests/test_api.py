@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import undertow as ut
+from undertow import control
 from undertow.control.gains import GainTable, gains_from_table
 
 GAINS = {"schema": "undertow/gains/1", "name": "hull", "law": "pd", "gains": {"K_P": 20, "K_V": 80}}
@@ -176,6 +177,9 @@ def test_gains_that_were_read_for_another_vehicle_are_refused(vehicle: ut.Vehicl
         (lambda v, _: ut.linearize(v, pade="3"), r"pade is given as str \('3'\): give a whole number"),
         (lambda v, _: ut.linearize(v, pade=1.5), r"pade is given as float \(1.5\): give a whole number"),
         (lambda v, _: ut.linearize(v, dt=1e300), r"sampled every 1e\+300 s the motion has no finite numbers"),
+        (lambda v, _: control.find_trim(v, free="w"), r"free is given as str \('w'\): give a list"),
+        (lambda v, _: control.in_current(v, "0.3", 0.0), r"north is given as str \('0.3'\): give a number"),
+        (lambda v, _: control.family(v, {}, -1), "a family with -1 drawn vehicles"),
         (lambda *_: ut.load_vehicle(None), r"source is given as NoneType \(None\): give a text or a path"),
         (
             lambda *_: ut.load_vehicle("otter", effect_files=3),

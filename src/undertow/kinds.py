@@ -16,7 +16,8 @@ T = TypeVar("T")
 _Part = tuple[str, Any, Any]
 """Where a part of an argument is, the part, and the kind that it has to be of."""
 
-_COUNTING_AS: dict[Any, type] = {float: Real, int: Integral, Sequence: Collection, tuple: Collection}
+_LISTS = (Sequence, Collection, tuple)  # of which an array may be any
+_COUNTING_AS: dict[Any, type] = {float: Real, int: Integral, **dict.fromkeys(_LISTS, Collection)}
 _REMEDIES = {
     "float": "give a number in SI",
     "int": "give a whole number",
@@ -25,6 +26,8 @@ _REMEDIES = {
     "Path": "give a path",
     "Mapping": "give a mapping by name",
     "Sequence": "give a list",
+    "Collection": "give a list",
+    "tuple": "give a list",
     "Callable": "give a function",
     "Vehicle": "read it with undertow.load_vehicle first",
     "Run": "read it with undertow.read_log first",
@@ -65,8 +68,7 @@ def _wrong(name: str, value: Any, kind: Any) -> tuple[str, Any, str] | None:
     if plain is Any:
         return None
     counts = callable(value) if plain is Callable else isinstance(value, _COUNTING_AS.get(plain, plain))
-    listed = plain in (Sequence, tuple)
-    if not counts or (listed and isinstance(value, str | bytes | Mapping)):
+    if not counts or (plain in _LISTS and isinstance(value, str | bytes | Mapping)):
         return name, value, _REMEDIES.get(plain.__name__, f"give a {plain.__name__}")
     if plain is tuple and len(value) != len(args):
         return name, value, f"give {len(args)} values"
@@ -78,7 +80,7 @@ def _parts(name: str, value: Any, plain: Any, args: Sequence[Any]) -> Iterator[_
         for key, item in value.items():
             yield f"a name in {name}", key, args[0]
             yield f"{name}: {key}", item, args[1]
-    elif plain in (Sequence, tuple):
+    elif plain in _LISTS:
         each = args if plain is tuple else [args[0]] * len(value)
         for i, (item, kind) in enumerate(zip(value, each, strict=True)):
             yield f"{name}[{i}]", item, kind

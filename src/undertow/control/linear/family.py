@@ -131,6 +131,8 @@ def family(
     seed : int
         Of the draws.
     """
+    if size < 0:
+        raise UndertowError(f"a family with {size} drawn vehicles is impossible: give zero or more")
     found = trim if isinstance(trim, Trim) else find_trim(vehicle, trim)
     factory, spread = (_MemberFactory(vehicle, found, gains, observer, pade), spread_of(vehicle, source))
     stated = factory.member("stated", np.array([]), ())
