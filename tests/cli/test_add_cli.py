@@ -20,6 +20,12 @@ Capture = pytest.CaptureFixture[str]
 LOGS = ["train.csv", "--holdout", "holdout.csv"]
 
 
+#: Friction that is not there: to the last digit of the logs, its fit ends in one of two minima.
+_NO_HELP = (
+    r"Adding dry_friction .* the 5-s error.*(it has to fall by 10%|does not improve predictions enough)"
+)
+
+
 def add(effect: str, *words: str) -> int:
     return main(["add", effect, "usv.toml", *LOGS, "--no-codegen", *words])
 
@@ -85,7 +91,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
     before = contents(case)
     assert add("dry_friction", "--out", "new.toml") == 1
     out, err = capsys.readouterr()
-    assert re.search(r"Adding dry_friction .* the 5-s error.*it has to fall by 10%", out)
+    assert re.search(_NO_HELP, out)
     assert err.splitlines() == ["dry_friction is not added to the vehicle file; --force writes it anyway"]
     assert contents(case) == before
 
@@ -93,7 +99,7 @@ def test_what_does_not_help_is_not_written(case: Path, capsys: Capture) -> None:
 @pytest.mark.slow
 def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: Capture) -> None:
     assert add("dry_friction", "--out", "new.toml", "--force") == 0
-    assert re.search(r"Adding dry_friction .* the 5-s error.*it has to fall by 10%", capsys.readouterr().out)
+    assert re.search(_NO_HELP, capsys.readouterr().out)
     table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
     assert "dry_friction" in table["effects"]
     assert table["history"][0]["helps"] is False

@@ -12,14 +12,7 @@ from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.identification.estimation import data
 from undertow.identification.estimation.data import residual_covariance
 from undertow.identification.estimation.inputs import Inputs, PropagatedState
-from undertow.identification.estimation.test_functions import (
-    Entries,
-    SumsInC,
-    SumsInNumPy,
-    boxes,
-    products,
-    unbanded,
-)
+from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes, unbanded
 from undertow.identification.estimation.test_functions import test_functions as functions_on
 
 N_DOF = 2
@@ -182,13 +175,18 @@ def test_sums_in_c_are_those_in_numpy(t: np.ndarray, c_compiler: Compiler) -> No
     entries = _entries(len(t))
     kind = rng.integers(0, 3, len(entries.row))
     target = rng.integers(-1, 7, len(entries.row))  # several signals in one place, and some in none
+    width = windows.weights.shape[2]
+    felt = rng.standard_normal((len(windows.first), 3, width, 2))
+    reach = max(np.searchsorted(windows.first, windows.first + width) - np.arange(len(windows.first)))
+    bands = np.zeros((reach * 3, 3 * len(windows.first)))
     factor = np.asfortranarray(np.vstack([2.0 + rng.random((1, 50)), rng.standard_normal((4, 50))]))
     found = []
     for sums in (SumsInC(c_compiler), SumsInNumPy()):
-        table = np.zeros((len(windows.first), 7))
+        table, products = np.zeros((len(windows.first), 7)), bands.copy()
         sums.weighted(windows, entries, kind, target, table)
+        sums.products(windows.first, felt, products)
         right = np.random.default_rng(7).standard_normal((50, 11))
-        found.append((table, sums.solved(factor, right)))
+        found.append((table, products, sums.solved(factor, right)))
     for in_c, in_numpy in zip(*found, strict=True):
         assert np.any(in_c)
         np.testing.assert_allclose(in_c, in_numpy, rtol=1e-12, atol=1e-12 * np.max(np.abs(in_numpy)))
@@ -201,15 +199,3 @@ def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler
     place = np.zeros(len(entries.row), dtype=np.intp)
     SumsInC(c_compiler).weighted(windows, entries, place, place, table)
     assert np.isfinite(table[windows.first + windows.weights.shape[2] <= 60]).all()
-
-
-@pytest.mark.parametrize("t", [EVEN, UNEVEN])
-def test_products_are_those_of_the_rows_at_all_samples(t: np.ndarray) -> None:
-    windows = functions_on(t, 0.25).supports
-    count, width = len(windows.first), windows.weights.shape[2]
-    felt = np.random.default_rng(6).standard_normal((count, 3, width, 2))
-    whole = np.zeros((count, 3, windows.first[-1] + width, 2))
-    for row, first, own in zip(whole, windows.first, felt, strict=True):
-        row[:, first : first + width] = own
-    rows = whole.reshape(3 * count, -1)
-    np.testing.assert_allclose(unbanded(products(windows.first, felt)).toarray(), rows @ rows.T, atol=1e-11)

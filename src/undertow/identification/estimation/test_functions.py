@@ -290,7 +290,7 @@ def _places(pattern: ca.Sparsity) -> tuple[Index, Index]:
 
 # Right-hand sides that go through an operation together.
 _SIDE = 8
-_NAMES = ("tested", "solved")
+_NAMES = ("tested", "products", "solved")
 
 
 class _Supports(ctypes.Structure):
@@ -331,6 +331,12 @@ class SumsInC:
             pointer(table),
         )
 
+    def products(self, first: Index, sensitivity: Array, bands: Array) -> None:
+        count, rows, width, channels = sensitivity.shape
+        sizes = map(ctypes.c_int64, (count, rows, width * channels, channels))
+        begin = np.ascontiguousarray(first, dtype=np.int64)
+        self._call["products"](*sizes, pointer(begin), pointer(sensitivity), pointer(bands))
+
     def solved(self, factor: Array, right: Array) -> Array:
         columns = -(-right.shape[1] // _SIDE) * _SIDE
         found = np.zeros((len(right), columns))
@@ -351,10 +357,33 @@ class SumsInNumPy:
             # Samples outside the support have no weight, even if they are not finite.
             flat[:, target[e]] += np.sum(np.where(weights == 0, 0.0, weights * part.data[index, e]), axis=1)
 
+    def products(self, first: Index, sensitivity: Array, bands: Array) -> None:
+        count, rows, width, channels = sensitivity.shape
+        flat = sensitivity.reshape(count, rows, width * channels)
+        for apart in range(len(bands) // rows):
+            blocks = _shifted_products(flat, first[apart:] - first[: count - apart], channels)
+            for a in range(rows):
+                for b in range(0 if apart else a, rows):
+                    bands[apart * rows + b - a, a::rows][: count - apart] = blocks[:, b, a]
+
     def solved(self, factor: Array, right: Array) -> Array:
         solution, info = dtbtrs(factor, right, uplo="L")
         assert info == 0
         return np.asarray(solution)
+
+
+def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
+    """Blocks (rows, rows) between windows and those that begin `shift` samples before them."""
+    apart = len(flat) - len(shift)
+    blocks = np.zeros((len(shift), flat.shape[1], flat.shape[1]))
+    for samples in np.unique(shift):
+        far = int(samples) * channels
+        if far >= flat.shape[2]:
+            continue
+        here = np.flatnonzero(shift == samples)
+        later = flat[here + apart][:, :, : flat.shape[2] - far]
+        blocks[here] = later @ flat[here][:, :, far:].swapaxes(1, 2)
+    return blocks
 
 
 @cache
@@ -395,34 +424,12 @@ def products(first: Index, sensitivity: Array) -> Array:
 
     Ordered by window, then by row; `first` holds the first sample of every window, in ascending order.
     """
-    count, rows, width, channels = sensitivity.shape
-    flat = sensitivity.reshape(count, rows, width * channels)
+    count, rows, width, _ = sensitivity.shape
     reach = int(np.max(np.searchsorted(first, first + width) - np.arange(count)))
     bands = np.zeros((reach * rows, count * rows))
-    for apart in range(reach):
-        blocks = _shifted_products(flat, first[apart:] - first[: count - apart], channels)
-        for a in range(rows):
-            for b in range(0 if apart else a, rows):
-                bands[apart * rows + b - a, a::rows][: count - apart] = blocks[:, b, a]
+    _sums().products(first, sensitivity, bands)
     used = np.flatnonzero(np.any(bands, axis=1))
     return bands[: used[-1] + 1] if len(used) else bands[:1]
-
-
-def _shifted_products(flat: Array, shift: Index, channels: int) -> Array:
-    """Blocks (rows, rows) between windows and those that begin `shift` samples before them."""
-    apart = len(flat) - len(shift)
-    blocks = np.zeros((len(shift), flat.shape[1], flat.shape[1]))
-    for samples in np.unique(shift):
-        far = int(samples) * channels
-        if far >= flat.shape[2]:
-            continue
-        here = np.flatnonzero(shift == samples)
-        one: slice | Index = here
-        later: slice | Index = here + apart
-        if here[-1] - here[0] < len(here):  # all in a row, as nearly always: none is copied
-            one, later = (slice(here[0] + k, here[-1] + k + 1) for k in (0, apart))
-        blocks[here] = flat[later, :, : flat.shape[2] - far] @ flat[one, :, far:].swapaxes(1, 2)
-    return blocks
 
 
 def solved(factor: Array, right: Array) -> Array:
