@@ -13,11 +13,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from undertow.errors import UndertowError
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html
-from undertow.typing import Array, Integers
+from undertow.typing import Array, Integers, number_array
 
 from .compiler import Compiler, compiled_or_virtual
 from .engine import (
@@ -391,16 +390,6 @@ def _virtual_step(functions: Functions, wrt: Sequence[int]) -> ca.Function:
 
 
 # --- what `import undertow` gives ------------------------------------------------------------------
-def number_array(name: str, values: ArrayLike) -> Array:
-    """Values as an array, or a refusal that names them."""
-    try:
-        return np.array(values, dtype=float, ndmin=1)
-    except (TypeError, ValueError) as error:
-        raise UndertowError(
-            f"{name} is given as {type(values).__name__}: give an array of numbers"
-        ) from error
-
-
 def _finite_array(name: str, values: ArrayLike) -> Array:
     array = number_array(name, values)
     if not np.isfinite(array).all():

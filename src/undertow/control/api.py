@@ -7,8 +7,7 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undertow.errors import UndertowError
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import load_observer
 from undertow.typing import Progress

@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import sympy as sm
 
-from undertow.kinds import of_stated_kinds
+from undertow.errors import of_stated_kinds
 from undertow.model.effect import Wrench, kinds_of
 from undertow.model.effects.control_surfaces import ControlSurfaces
 from undertow.model.effects.ocean_current import OceanCurrent, check_current

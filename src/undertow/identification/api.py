@@ -8,8 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from undertow.errors import UndertowError, listed
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, listed, of_stated_kinds
 from undertow.model.catalogue import Catalogue, catalogue, lookup
 from undertow.model.vehicle import Vehicle
 from undertow.notebook import html

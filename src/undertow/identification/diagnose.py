@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from undertow.errors import UndertowError, listed
+from undertow.errors import UndertowError, listed, of_stated_kinds
 from undertow.files import write_whole
-from undertow.kinds import of_stated_kinds
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.saving import save_vehicle
 from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY

@@ -15,8 +15,7 @@ from typing import Any
 
 import sympy as sm
 
-from undertow.errors import UndertowError, nearest
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, nearest, of_stated_kinds
 
 from .catalogue import Catalogue, companions, logged_quantities, lookup, with_effects
 from .effect import Effect, Surface

@@ -14,14 +14,13 @@ import sympy as sm
 from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
-from undertow.codegen.simulate import number_array
 from undertow.control.gains import GainSet
 from undertow.control.plant import Plant
 from undertow.errors import UndertowError
 from undertow.model.composition import function_of
 from undertow.model.parameter import printed
 from undertow.model.vehicle import Vehicle
-from undertow.typing import Array, Flags
+from undertow.typing import Array, Flags, number_array
 
 from .attitude import Attitudes, Certificate, Interval, margin_bound, transposed
 from .by_law import CONDITIONS, Condition, Quantities

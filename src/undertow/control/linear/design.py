@@ -13,8 +13,7 @@ from undertow.codegen.functions import Functions
 from undertow.control.gains import GainSet, GainTable, gains_from_table
 from undertow.control.laws import LAWS
 from undertow.control.plant import remedy_for_curves
-from undertow.errors import UndertowError, refuse_unknown
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds, refuse_unknown
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 

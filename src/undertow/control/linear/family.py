@@ -11,8 +11,7 @@ import control as ct
 import numpy as np
 
 from undertow.control.gains import GainSet
-from undertow.errors import UndertowError
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds
 from undertow.model.loading import last_covariance, read_vehicle_table, resolve_vehicle
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design

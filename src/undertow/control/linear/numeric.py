@@ -14,8 +14,7 @@ import numpy as np
 from undertow.codegen.compiler import Evaluator
 from undertow.codegen.functions import Functions
 from undertow.codegen.manifest import describe
-from undertow.errors import UndertowError
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds
 from undertow.model.effect import Actuation
 from undertow.model.symbols import VELOCITY
 from undertow.model.vehicle import Vehicle

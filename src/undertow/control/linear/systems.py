@@ -19,8 +19,7 @@ from undertow.control.controller import Controller
 from undertow.control.gains import GainSet
 from undertow.control.laws import DISCONTINUOUS
 from undertow.control.plant import Plant
-from undertow.errors import UndertowError
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import SETTINGS as DESIGN
 from undertow.observer.design import Design

@@ -11,8 +11,7 @@ from math import inf, isfinite
 import casadi as ca
 import numpy as np
 
-from undertow.errors import UndertowError, refuse_unknown
-from undertow.kinds import of_stated_kinds
+from undertow.errors import UndertowError, of_stated_kinds, refuse_unknown
 from undertow.model.effect import Propeller
 from undertow.model.symbols import FASTEST, POSE, VELOCITY
 from undertow.model.vehicle import Vehicle
