@@ -417,6 +417,18 @@ def test_residuals_are_drawn_with_their_intervals_and_units() -> None:
     assert [c.get_label() for c in axis.containers] == ["old", "new"]
 
 
+def test_two_models_on_bins_of_their_own_are_drawn_in_one_picture() -> None:
+    """A value of each run is estimated from its first third, which the other model is not spared."""
+    (curve, *_) = _data("u").residuals
+    centre = np.linspace(-0.5, 0.5, 4)
+    less = Profile("surge", "u", "m/s", centre, 0.0 * centre, np.full(4, 0.05), np.full(4, 9))
+    axis = residual_against([replace(curve, after=less)]).axes[0]
+    assert [c.lines[0].get_xdata().tolist() for c in axis.containers] == [
+        curve.before.centre.tolist(),
+        centre.tolist(),
+    ]
+
+
 def test_the_budget_is_sorted() -> None:
     axis = force_budget([Budget("surge", "N", {"a": 1.0, "b": 3.0, "c": 2.0})]).axes[0]
     assert [label.get_text() for label in axis.get_yticklabels()] == ["a", "c", "b"]

@@ -349,7 +349,7 @@ def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None
     for one, name, colour, marker in ((stated, names[0], BEFORE, "o"), (curve.after, names[1], AFTER, "s")):
         if one is not None:
             style = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1.0, "capsize": 2}
-            axis.errorbar(stated.centre, one.force, yerr=1.96 * one.error, label=plain(name), **style)
+            axis.errorbar(one.centre, one.force, yerr=1.96 * one.error, label=plain(name), **style)
     axis.locator_params(axis="x", nbins=4)
     axis.set_xlabel(with_unit(stated.variable, stated.unit))
     axis.set_ylabel(with_unit(f"{stated.degree_of_freedom} residual", curve.unit))
