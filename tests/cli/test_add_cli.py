@@ -13,6 +13,7 @@ import pytest
 from benchmarks.hidden_effects import Case
 from undertow.cli.main import main
 from undertow.model.loading import load_vehicle
+from undertow.model.parameter import printed
 
 from .bad import contents
 
@@ -103,6 +104,20 @@ def test_what_does_not_help_is_written_by_force_and_said_so(case: Path, capsys: 
     table = tomllib.loads((case / "new.toml").read_text(encoding="utf-8"))
     assert "dry_friction" in table["effects"]
     assert table["history"][0]["helps"] is False
+
+
+def test_values_are_said_in_the_signs_of_the_vehicle_file(quick: Path, capsys: Capture) -> None:
+    """As diagnose says them, and as they are written: positive magnitudes here."""
+    text = (quick / "usv.toml").read_text().replace('"sname"', '"magnitudes"').replace("-25", "25")
+    (quick / "usv.toml").write_text(text)
+    words = ["--no-codegen", "--all", "--force", "--out", "new.toml"]
+    assert main(["add", "cubic_damping", "usv.toml", "train.csv", *words]) == 0
+    said = float(re.search(r"X_uuu = (\S+)", capsys.readouterr().out)[1])  # type: ignore[index]
+    vehicle = load_vehicle(quick / "new.toml")
+    declared = vehicle.declaration("X_uuu")
+    written = printed(declared, vehicle.value_of("X_uuu").value, vehicle.signs)
+    assert said == pytest.approx(written, rel=1e-3)
+    assert said * vehicle.value_of("X_uuu").value < 0.0
 
 
 def test_a_value_at_its_bound_is_said(quick: Path, capsys: Capture) -> None:

@@ -29,6 +29,7 @@ from ._logs import HoldoutOption, LogOptions, LogsArgument, refuse_vehicle_as_ef
 if TYPE_CHECKING:
     from undertow.codegen.manifest import Report
     from undertow.identification.diagnosis.addition import Addition
+    from undertow.model.vehicle import Vehicle
 
 _EFFECT = typer.Argument(metavar="EFFECT[,EFFECT]", help="Ids of effects; 'undertow effects' lists them.")
 _FORCE = typer.Option("--force", help="Add the effects even if they do not reduce the error.")
@@ -74,7 +75,7 @@ def add(
         setup, addition = try_effect(
             model, effects, train, test, known=known, keep_all=all, report=report, trust_log=options.trust_log
         )
-    show(addition)
+    show(addition, setup.vehicle)
     long = loaded.checked(
         {"as given": setup.vehicle, f"with {listed(addition.effects)}": addition.fit.vehicle}
     )
@@ -100,9 +101,9 @@ def add(
     return 0
 
 
-def show(addition: Addition) -> None:
-    """Say what the effects do to the error, and with which values."""
-    from undertow.identification.estimation.step import UNDETERMINED
+def show(addition: Addition, stated: Vehicle) -> None:
+    """Say what the effects do to the error, and with which values, in the signs of the vehicle file."""
+    from undertow.identification.diagnosis.verdict import estimate, values_by_run
     from undertow.identification.report.results import addition_sentence
     from undertow.identification.report.sentences import percentage
 
@@ -116,10 +117,10 @@ def show(addition: Addition) -> None:
     ]
     heads = ("", "force, times noise", *(f"{h}, %" for h in horizons))
     section("Error on validation data: of the force, and of velocities ahead", table(heads, rows))
-    errors, units = addition.fit.standard_errors, addition.fit.vehicle.declared_parameters
     for name in addition.kept:
-        spread = f"± {errors[name]:.1g} " if errors[name] < UNDETERMINED else ""
-        say(f"  {name} = {addition.fit.values[name]:.4g} {spread}{units[name].unit}".rstrip())
+        say(f"  {estimate(addition.fit, name, stated)}")
+    for values in values_by_run(addition.fit, stated):
+        say(f"  {values}")
     for line in addition.fit.active:
         say(f"  {line}", "yellow")
     if addition.dropped:

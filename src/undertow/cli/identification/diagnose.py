@@ -220,7 +220,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     from undertow.identification.report.sentences import chance
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
-    model = "model with fitted values" if diagnosis.freed else "model as given"
+    model = "model with other values" if diagnosis.freed else "refitted model"
     longest = next((list(r.falls)[-1] for r in diagnosis.ranking if r.falls), None)
     helping = [r for r in diagnosis.ranking if r.parameters or r.significant][:_SHOWN]
     rest = len(diagnosis.ranking) - len(helping)
@@ -251,7 +251,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
 
 
 def _values(parameters: Sequence[Estimate], most: int) -> str:
-    return ", ".join(_value(p) for p in parameters[:most]) + (" ..." if len(parameters) > most else "")
+    return ", ".join(map(str, parameters[:most])) + (" ..." if len(parameters) > most else "")
 
 
 def _change(share: float) -> str:
@@ -259,11 +259,6 @@ def _change(share: float) -> str:
 
     most = WORDING.diverges
     return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
-
-
-def _value(p: Estimate) -> str:
-    error = "" if p.standard_error is None else f" ± {p.standard_error:.1g}"
-    return f"{p.name} = {p.value:.4g}{error} {p.unit}".rstrip()
 
 
 def _show_steps(diagnosis: Diagnosis) -> None:

@@ -65,6 +65,10 @@ class Estimate(ResultTable):
     prior: float | None = None  # value stated in the vehicle file
     prior_sigma: float | None = None  # its stated standard deviation
 
+    def __str__(self) -> str:
+        error = "" if self.standard_error is None else f" ± {self.standard_error:.1g}"
+        return f"{self.name} = {self.value:.4g}{error} {self.unit}".rstrip()
+
 
 class ValuesByRun(ResultTable):
     """A parameter with a value in every run, in the sign convention of the vehicle file."""
