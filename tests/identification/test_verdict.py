@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from undertow.identification import result_builder
 from undertow.identification.diagnosis.evidence import Comparison, FoundEffect
 from undertow.identification.diagnosis.result import Indistinguishable, how_sure
 from undertow.identification.diagnosis.settings import DEFAULT
@@ -13,6 +14,7 @@ from undertow.identification.diagnosis.settings import DEFAULT
 # Private: by its input each of these rules would take a search of its own.
 # Private: sentences for remainders and winners that no log here has.
 from undertow.identification.diagnosis.verdict import Remainder, _doubt, _headline, error_of_sensors
+from undertow.identification.result_builder import ResultBuilder
 from undertow.model.catalogue import catalogue
 
 ONE, TWO = ["lift"], ["lift", "actuation_delay"]
@@ -52,6 +54,39 @@ def test_the_headline_names_what_is_certain_beside_what_is_not() -> None:
     assert _headline(winners[:1], winners[1:], [], 0.99, True) == (
         "Missing: lift; with actuation_delay as well, only noise remains."
     )
+
+
+def test_the_share_that_named_effects_explain_is_without_those_that_only_help(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(result_builder, "judge_selection", lambda found, scores, *_: scores)
+    bench = SimpleNamespace(score=lambda fit: fit, noise_level=None)
+    builder = SimpleNamespace(bench=bench, found=None, _weak=["none", "lift", "lift and wind"])
+    builder._scores = lambda count: ResultBuilder._scores(builder, count)  # type: ignore[arg-type]
+    for named, model in ((1, "lift"), (0, "lift and wind")):
+        selection = SimpleNamespace(established=[None] * named)
+        assert ResultBuilder._judged(builder, selection) == ("none", model)  # type: ignore[arg-type]
+
+
+def test_a_chosen_effect_has_one_error_and_the_values_that_are_handed_on() -> None:
+    """Those of the steps and of the model that `add` would write, not of the fit that found it."""
+    first, second, helping, other, rival = (
+        SimpleNamespace(id=i, trial=SimpleNamespace(fit=f"fit of {i}")) for i in "abcde"
+    )
+    builder = SimpleNamespace(
+        judgement=SimpleNamespace(effects=[first, second], helps=[helping]),
+        fits=["none", "a", "a b", "a b c"],
+        validator=SimpleNamespace(predicting_fit=lambda fit: fit),
+        _alike={"e": (rival, "a e")},
+    )
+    models = [ResultBuilder._models_with(builder, f) for f in (first, second, helping, other, rival)]  # type: ignore[arg-type]
+    assert models == [
+        ("a", "a b"),
+        ("a b", "a b"),
+        ("a b c", "a b c"),
+        ("fit of d", "fit of d"),
+        ("a e", "fit of e"),
+    ]
 
 
 @pytest.mark.parametrize(

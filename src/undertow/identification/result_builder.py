@@ -111,15 +111,13 @@ class ResultBuilder:
     @cached_property
     def judgement(self) -> Judgement:
         """The verdict with its reasons."""
-        noise, residual_is_noise = self.bench.noise_level, self._residual_is_noise
-        scores = self.bench.score(self._weak[0]), self.bench.score(self._weak[-1])
-        selection = self._selection
+        residual_is_noise, selection = self._residual_is_noise, self._selection
         if selection is not None and not (residual_is_noise and selection.all_but_one_established):
-            judged = judge_selection(self.found, scores, noise, selection)
+            judged = self._judged(selection)
             doubted = self._contradicted(judged.effects, selection.graded)
             if doubted != selection.graded:
                 self._selection = replace(selection, graded=doubted)
-                judged = judge_selection(self.found, scores, noise, self._selection)
+                judged = self._judged(self._selection)
             return judged
         left = Remainder(
             residual_is_noise=residual_is_noise,
@@ -127,7 +125,16 @@ class ResultBuilder:
             nearly=residual_is_noise
             or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
         )
-        return judge(self.found, scores, noise, left)
+        return judge(self.found, self._scores(-1), self.bench.noise_level, left)
+
+    def _judged(self, selection: Selection) -> Judgement:
+        """The judgement of a selection; what is explained is that by the effects that it names, if any."""
+        scores = self._scores(len(selection.established) or -1)
+        return judge_selection(self.found, scores, self.bench.noise_level, selection)
+
+    def _scores(self, count: int) -> tuple[Score, Score]:
+        """Scores without effects and with so many of them."""
+        return self.bench.score(self._weak[0]), self.bench.score(self._weak[count])
 
     def _contradicted(self, named: Sequence[FoundEffect], graded: list[Graded]) -> list[Graded]:
         """The effects with doubts about the first named one that a force contradicts, and those after it.
@@ -364,27 +371,49 @@ class ResultBuilder:
         chosen: dict[str, FoundEffect] = {}
         for found in [*self.judgement.effects, *self.judgement.helps]:
             chosen.setdefault(found.id, found)
+        alike = {i: found for i, (found, _) in self._alike.items()}
         gains = {} if self._selection is None else self._selection.gains
         falls = {i: gain.falls[max(gain.falls)] for i, gain in gains.items()}
-        others = (f for f in self.found.rounds[0].findings if f.id not in chosen)
+        others = (alike.get(f.id, f) for f in self.found.rounds[0].findings if f.id not in chosen)
         last = -math.inf
         rest = sorted(others, key=lambda f: (not self._is_significant(f), -falls.get(f.id, last)))
         return [*chosen.values(), *rest]
+
+    @cached_property
+    def _alike(self) -> dict[str, tuple[FoundEffect, Fitted]]:
+        """The effects that could replace a named one, as found in its place, with the model that has them."""
+        sets = zip(self.found.winners, self.found.rivals, strict=True) if self.judgement.sets else ()
+        return {
+            c.findings[i].id: (c.findings[i], c.fit) for i, (_, rivals) in enumerate(sets) for c in rivals
+        }
+
+    def _models_with(self, finding: FoundEffect) -> tuple[Fitted, Fitted]:
+        """The models that tell the error with a candidate, and its values.
+
+        An effect that was chosen has those of the steps, and the values that are handed on.
+        """
+        named = len(self.judgement.effects)
+        chosen = [*self.judgement.effects, *self.judgement.helps]
+        place = next((i for i, f in enumerate(chosen, start=1) if f is finding), None)
+        if place is not None:
+            return self.fits[place], self.fits[max(place, named)]
+        fit = self._alike[finding.id][1] if finding.id in self._alike else finding.trial.fit
+        return fit, self.validator.predicting_fit(finding.trial.fit)
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
         helps = self._is_significant(finding) or (
             bool(trial.kept) and trial.score.error < self.bench.base_score.error
         )
-        names = finding.parameters if helps and trial.kept else ()
-        fit = self.validator.predicting_fit(trial.fit)
+        whole, fit = self._models_with(finding)
+        names = [n for n in finding.parameters if n in fit.standard_errors] if helps and trial.kept else []
         return Ranked(
             effect=finding.id,
             family=trial.candidate.effect.family,
             about=trial.candidate.effect.about(),
             parameters=[estimate(fit, n, self.vehicle) for n in names],
             error_before=self._base_score.error,
-            error_after=self._normalised(trial.fit) if helps else self._base_score.error,
+            error_after=self._normalised(whole) if helps else self._base_score.error,
             explained=max(finding.explained, 0.0),
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
@@ -414,7 +443,10 @@ class ResultBuilder:
         return doubts.get(effect) or self._selection.reasons.get(effect, "")
 
     def _falls(self, effect: str) -> dict[str, float]:
-        gains = {} if self._selection is None else self._selection.gains
+        if self._selection is None:
+            return {}
+        # Of an added effect as the models of the result show it, as in `added` and in the doubts about it.
+        gains = self._selection.gains | {g.chosen.id: g.gain for g in self._selection.graded}
         return gains[effect].by_horizon if effect in gains else {}
 
     def _warnings(self, equivalent: Sequence[Equivalent]) -> list[str]:

@@ -111,7 +111,10 @@ def judge(found: Search, scores: tuple[Score, Score], noise: Array, left: Remain
 def judge_selection(
     found: Search, scores: tuple[Score, Score], noise: Array, selection: Selection
 ) -> Judgement:
-    """Decide if the residual exceeds the noise: each effect by its benefit and by the doubts about it."""
+    """Decide if the residual exceeds the noise: each effect by its benefit and by the doubts about it.
+
+    scores: without effects, and with those that the selection establishes.
+    """
     share = share_explained(scores, noise, found.bench)
     count = len(selection.established)
     named, helping = found.winners[:count], found.winners[count:]
