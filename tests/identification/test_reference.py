@@ -167,6 +167,14 @@ def test_the_sentence_does_not_deny_what_effects_that_are_not_named_predict() ->
     )
 
 
+def test_the_sentence_compares_errors_in_digits_that_differ_and_denies_no_correlation() -> None:
+    """A step in time is no signal, and no disturbance either."""
+    silent = _predictability("heave", share=0.0, interval=(0.0, 0.2), significant=False)
+    said = predictable_in_words(0.0546, [silent], [], ["lift"], 0.0509, correlates=True)
+    assert said.startswith("an error of 5.5 % remains (5.1 % with lift, not established")
+    assert said.endswith("disturbance, or lift and what the residual correlates with: 0.4 N rms in heave")
+
+
 def _predictability(motion: str, **found: object) -> Predictability:
     size = {
         "unit": "N",

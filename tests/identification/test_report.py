@@ -27,11 +27,13 @@ from undertow.identification.diagnosis.result import (
     Estimate,
     Floors,
     Indistinguishable,
+    Predictability,
     Ranked,
     Remaining,
     RunInfo,
     Step,
     Verdict,
+    explanations,
 )
 from undertow.identification.findings import Examination
 from undertow.identification.findings import Finding as Found
@@ -580,6 +582,44 @@ def test_an_error_that_rises_is_no_plain_yes() -> None:
     assert ">in part" in page
     assert "In part: significant with a disturbance in the noise model" in page
     assert ">in part" not in render_report(_diagnosis())
+
+
+def test_columns_that_contradict_each_other_are_explained() -> None:
+    """An error that hardly falls beside a large share, and a small chance beside a no."""
+    contrary = _ranked("wind", 3.0, error_before=41.2, error_after=40.2, explained=0.9)
+    refused = _ranked("lift", 0.01, error_after=5.0, explained=0.36, p_value=0.001)
+    plain = _ranked("lift", 0.01, error_after=5.0, explained=0.36, p_value=0.2)
+    assert explanations([plain], 0.01) == []
+    assert explanations([contrary], 0.01)[0].startswith("Explains: mean over the equations above the noise")
+    assert explanations([refused], 0.01)[0].startswith("No, in spite of a small chance:")
+    page = _words(render_report(_diagnosis().model_copy(update={"ranking": [contrary, refused]})))
+    assert "Explains: mean over" in page
+    assert "No, in spite of" in page
+
+
+def test_an_adequate_model_that_leaves_a_disturbance_is_not_said_to_leave_noise() -> None:
+    left = Predictability(
+        degree_of_freedom="surge", unit="N", averaged_over=1.0, residual_rms=2.0, share=0.0,
+        interval=(0.0, 0.1), significant=False, noise_share=0.2, disturbance_rms=1.6,
+        relative_to_inertia=0.1, variables={},
+    )  # fmt: skip
+    noise, more = _diagnosis("adequate"), _diagnosis("adequate").model_copy(update={"predictable": [left]})
+    assert "consistent with sensor noise" in _words(render_report(noise))
+    page = _words(render_report(more))
+    assert "consistent with sensor noise" not in page
+    assert "it is treated as a disturbance" in page
+
+
+def test_the_page_says_which_model_its_tables_are_of() -> None:
+    """What remains and the parameters are those without effects that are not established."""
+    helped = _diagnosis("helps_prediction").model_copy(
+        update={"effects": [], "helps": ["lift"], "indistinguishable": []}
+    )
+    page = _words(render_report(helped, replace(_data(), headlines=("as it is", "with lift"))))
+    assert "Residual of the refitted model, without lift on the validation data" in page
+    assert "Fitted values of the refitted model, without lift with" in page
+    assert "rms force or moment of each effect, better." in page
+    assert "no other effect explains the data as well" not in page
 
 
 @pytest.mark.parametrize(

@@ -211,12 +211,14 @@ def _show_predictable(diagnosis: Diagnosis) -> None:
     steps = (diagnosis.last_step, diagnosis.steps[-1])
     left, lowered = (step.ahead.get(horizons[-1], inf) for step in steps)
     helps = diagnosis.helps if lowered < left else []
-    said = predictable_in_words(left, diagnosis.predictable, diagnosis.stopped_at_zero, helps, lowered)
+    correlates = any(r.depends_on or r.spectrum for r in diagnosis.remaining)
+    limits = diagnosis.stopped_at_zero
+    said = predictable_in_words(left, diagnosis.predictable, limits, helps, lowered, correlates=correlates)
     say(f"Over the longest horizon {said}.")
 
 
 def _show_ranking(diagnosis: Diagnosis) -> None:
-    from undertow.identification.diagnosis.result import IN_PART, IN_PART_MEANS
+    from undertow.identification.diagnosis.result import explanations
     from undertow.identification.report.sentences import chance
 
     before = diagnosis.ranking[0].error_before if diagnosis.ranking else 1.0
@@ -238,12 +240,12 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
         f"Candidates on validation data (error of the {model} {before:.3g}, noise 1)", table(heads, numbers)
     )
     more = f"{rest} more effects were tried and rank lower. " if rest else ""
-    partly = f" {IN_PART_MEANS}" if any(r.sure == IN_PART for r in helping) else ""
+    meanings = " ".join(["", *explanations(helping, diagnosis.false_alarm_rate)])
     later = len(diagnosis.effects) + len(diagnosis.helps) > 1
     beside = " Effects chosen later were fitted with those chosen earlier in the model." if later else ""
     say(
         f"{more}Chance: the probability that the best of all candidates looks as good when nothing is "
-        f"missing.{beside}{partly}",
+        f"missing.{beside}{meanings}",
         "dim",
     )
     fitted = [(r.effect, _values(r.parameters, 4 if i == 0 else 1)) for i, r in enumerate(helping)]

@@ -124,6 +124,8 @@ def predictable_in_words(
     at_limit: Sequence[str] = (),
     helps: Sequence[str] = (),
     with_help: float = 1.0,
+    *,
+    correlates: bool = False,
 ) -> str:
     """How much of a residual can be predicted, as a sentence.
 
@@ -139,15 +141,19 @@ def predictable_in_words(
         Effects that lower the residual without being named, if any, also by position or time.
     with_help : float
         The residual with those.
+    correlates : bool
+        Whether the residual force correlates with something, which may be position or time.
     """
     shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
     signals = "velocities, attitude and commands" if helps else "the logged signals"
-    head = f"an error of {100 * left:.0f} % remains"
+    # Two errors that are compared need the digits in which they differ.
+    sizes = [f"{100 * e:.{int(bool(helps) and e < 0.1)}f} %" for e in (left, with_help)]
+    head = f"an error of {sizes[0]} remains"
     if helps:
-        head += f" ({100 * with_help:.0f} % with {listed(helps)}, not established as the cause)"
+        head += f" ({sizes[1]} with {listed(helps)}, not established as the cause)"
     head += (
         f"; of that at most {listed(shares)} can be predicted from {signals}"
         if shares
@@ -156,5 +162,6 @@ def predictable_in_words(
     if not rest:
         return f"{head}; the rest is sensor noise"
     why = f", or what drove {listed(at_limit)} to a physical limit" if at_limit else ""
-    other = f", or {listed(helps)}" if helps else ""
+    others = [*helps, *(["what the residual correlates with"] if correlates else [])]
+    other = f", or {listed(others)}" if others else ""
     return f"{head}; the rest is disturbance{other}{why}: {listed(rest)}"

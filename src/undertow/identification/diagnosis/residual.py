@@ -481,7 +481,7 @@ def _remaining(characteriser: Characteriser, fit: Fitted, i: int) -> Remaining:
         noise_rms=row.noise_rms,
         unit=FORCE_UNITS[vehicle.dof_indices[i]],
         excess_rms=row.excess_rms if above_noise else 0.0,
-        note=f"{error:.1f} times what the noise explains" if above_noise else "explained by the noise",
+        note="above the noise" if above_noise else "explained by the noise",
     )
     if above_noise:
         for name, found in vars(characteriser.describe(i)).items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -120,12 +120,39 @@ class Ranked(ResultTable):
         """Whether the candidate certainly reduces the error, see `how_sure`."""
         return how_sure(self.significant, self.error_before, self.error_after)
 
+    @property
+    def share_of_error(self) -> float:
+        """Share of the excess over the noise floor that is removed, by the errors alone."""
+        before, after = self.error_before**2, self.error_after**2
+        return (before - after) / max(before - 1.0, 1e-12)
+
 
 IN_PART = "in part"
 IN_PART_MEANS = (
     f"{IN_PART[0].upper()}{IN_PART[1:]}: significant with a disturbance in the noise model, but with all "
     "equations weighted equally the error does not fall."
 )
+EXPLAINS_MEANS = (
+    "Explains: mean over the equations above the noise, with a disturbance in the noise model of the best "
+    "candidate; the error weights all equations equally, by the sensor noise alone, and may tell otherwise."
+)
+NO_MEANS = (
+    "No, in spite of a small chance: with the noise model of the best candidate the error does not fall, or "
+    "predictions need none of them."
+)
+_SAME_SHARE = 0.1  # difference up to which two shares tell the same
+
+
+def explanations(shown: Sequence[Ranked], false_alarms: float) -> list[str]:
+    """What columns mean that contradict each other in some row of a table of candidates."""
+    otherwise = any(abs(r.explained - max(r.share_of_error, 0.0)) > _SAME_SHARE for r in shown)
+    small = any(not r.significant and r.p_value is not None and r.p_value < false_alarms for r in shown)
+    meanings = {
+        IN_PART_MEANS: any(r.sure == IN_PART for r in shown),
+        EXPLAINS_MEANS: otherwise,
+        NO_MEANS: small,
+    }
+    return [words for words, needed in meanings.items() if needed]
 
 
 def how_sure(significant: bool, before: float, after: float) -> str:

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from undertow.figures import svg, unit_text
 from undertow.files import templates
 from undertow.identification.comparison import Comparison, Profile
-from undertow.identification.diagnosis.result import IN_PART_MEANS, Diagnosis, Estimate, Ranked, established
+from undertow.identification.diagnosis.result import Diagnosis, Estimate, Ranked, established, explanations
 from undertow.identification.estimation.predictor import Predictor, predict, predict_each
 from undertow.identification.estimation.weak_form import adapted
 from undertow.identification.estimation.windows import Prediction, cut
@@ -259,7 +259,8 @@ class Meaning:
 @cache
 def meanings() -> dict[str, Meaning]:
     """Every verdict explained; as ``other_values`` one that names values instead of effects, and as
-    ``one_of_several_too`` one that names an effect beside a set.
+    ``one_of_several_too`` one that names an effect beside a set; as ``only_disturbance`` an adequate model
+    that leaves more than noise.
     """
     text = (files("undertow.identification.report") / "templates" / "verdicts.toml").read_text("utf-8")
     tables = tomllib.loads(text)
@@ -275,6 +276,8 @@ def meaning(diagnosis: Diagnosis) -> Meaning:
     key = str(diagnosis.verdict)
     if key == "adequate" and diagnosis.freed:
         key = "other_values"
+    elif key == "adequate" and diagnosis.predictable:  # only looked for where more than noise remains
+        key = "only_disturbance"
     elif key == "indistinguishable" and established(diagnosis.effects, diagnosis.indistinguishable):
         key = "one_of_several_too"
     found = meanings()[key]
@@ -347,7 +350,7 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         d=diagnosis,
         data=shown,
         meaning=meaning(diagnosis),
-        in_part_means=IN_PART_MEANS,
+        explanations=explanations(diagnosis.ranking, diagnosis.false_alarm_rate),
         runs=shown.runs[:_MOST_RUNS],
         units=MOTION_UNITS,
         influential=[c for c in diagnosis.ranking if has_influence(c, diagnosis)],
