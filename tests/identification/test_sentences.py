@@ -51,7 +51,7 @@ def _run(role: Role) -> RunInfo:
 
 
 def _left(**more: Any) -> Remaining:
-    numbers = {"normalised_error": 4.0, "residual_rms": 2.0, "noise_rms": 0.5}
+    numbers = {"normalised_error": 4.0, "residual_rms": 2.0, "noise_rms": 0.5, "excess_rms": 1.9}
     return Remaining(degree_of_freedom="sway", unit="N", note="", **{**numbers, **more})
 
 
@@ -243,11 +243,34 @@ def test_a_residual_that_may_be_a_disturbance_is_not_called_missing() -> None:
         interval=(0.0, 0.54), significant=False, noise_share=0.2, disturbance_rms=1.6,
         relative_to_inertia=0.1, variables={},
     )  # fmt: skip
-    short = first_sentence(_diagnosis("unexplained", predictable=[signal]))
+    nothing = {"headline": NO_EVIDENCE, "predictable": [signal]}
+    short = first_sentence(_diagnosis("unexplained", **nothing))
     assert "do not show if any is missing" in short
     assert "up to 54% of it in sway may do so" in short
-    known = signal.model_copy(update={"significant": True})
-    assert "explains what is missing" in first_sentence(_diagnosis("unexplained", predictable=[known]))
+    # Nor is it said beside effects that improve the model, or sensors that contradict each other.
+    shown = Ranked(
+        effect="wind", family="water", about="", parameters=[], error_before=9.0, error_after=8.0,
+        explained=0.2, improvement=0.1, interval=(0.05, 0.15), significant=True,
+        not_named="improves predictions in only 75% of the resamples",
+    )  # fmt: skip
+    beside = first_sentence(_diagnosis("unexplained", **nothing, ranking=[shown]))
+    assert "improves the model" not in beside
+    assert "do not show if any is missing" not in beside
+    words = "wind lowers the residual from 9 to 8 times the noise, by more than chance, but is not added: "
+    assert words + shown.not_named in beside
+    assert words in first_sentence(_diagnosis("adequate", predictable=[signal], ranking=[shown]))
+    sensors = _diagnosis("unexplained", **{**nothing, "headline": "Unexplained: the sensors contradict"})
+    assert "improves the model" not in first_sentence(sensors)
+    known = signal.model_copy(update={"significant": True, "share": 0.7, "variables": {"v": 2.0, "r": 1.0}})
+    together = first_sentence(_diagnosis("unexplained", predictable=[known]))
+    assert "explains what is missing" in together
+    assert "several together predict 70% of it in sway (from v and r)" in together
+
+
+def test_a_residual_that_is_noise_in_every_motion_exceeds_it_in_none() -> None:
+    nowhere = first_sentence(_diagnosis("unexplained", remaining=[_left(excess_rms=0.0)]))
+    assert "exceeds the noise most" not in nowhere
+    assert nowhere.endswith("check the logs with undertow doctor.")
 
 
 def test_an_effect_that_shows_but_hardly_changes_predictions_is_mentioned_and_not_named() -> None:

@@ -10,7 +10,14 @@ from math import floor, inf, isfinite, log10
 from pathlib import PurePath
 
 from undertow.errors import listed
-from undertow.identification.diagnosis.result import NO_EVIDENCE, Diagnosis, Ranked, Step, established
+from undertow.identification.diagnosis.result import (
+    NO_EVIDENCE,
+    Diagnosis,
+    Predictability,
+    Ranked,
+    Step,
+    established,
+)
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.findings import Finding
 from undertow.model.symbols import DOFS, VELOCITY
@@ -247,7 +254,7 @@ def first_sentence(diagnosis: Diagnosis) -> str:
             "regard any as the cause"
         )
     sentences: dict[str, str] = {
-        "adequate": f"These logs show nothing missing: {refitted}{use}.",
+        "adequate": f"These logs show nothing missing: {refitted}{use}{_shows_too(diagnosis)}.",
         "missing_effect": f"{change}{also if helping else ''}.",
         "indistinguishable": f"{change}, but {others} would achieve {same}, or most of it{apart}.",
         "helps_prediction": f"{change}, but {not_the_cause}",
@@ -326,10 +333,7 @@ def _has_terms(diagnosis: Diagnosis) -> bool:
 def _hardly_acts(diagnosis: Diagnosis, refitted: str) -> str:
     """The first sentence where an effect explains most of the residual force, but few predictions change."""
 
-    def share(c: Ranked) -> float:
-        return (c.error_before**2 - c.error_after**2) / max(c.error_before**2 - 1.0, 1e-12)
-
-    found = (c for c in diagnosis.ranking if c.sure == "yes" and c.falls and share(c) > 0.5)
+    found = (c for c in diagnosis.ranking if c.sure == "yes" and c.falls and c.share_of_error > 0.5)
     first = next((c for c in found if 0.0 <= max(c.falls.values()) < DEFAULT.worth), None)
     if first is None:
         return ""
@@ -343,23 +347,49 @@ def _hardly_acts(diagnosis: Diagnosis, refitted: str) -> str:
 
 def _only_disturbance(diagnosis: Diagnosis, refitted: str) -> str:
     """The first sentence where the residual may be a disturbance alone, as far as these logs show."""
-    found = diagnosis.predictable
-    if not found or any(p.significant for p in found) or _has_terms(diagnosis):
+    found, nothing_else = diagnosis.predictable, diagnosis.headline.startswith(NO_EVIDENCE)
+    if not found or any(p.significant for p in found) or _has_terms(diagnosis) or not nothing_else:
         return ""
-    most = max(found, key=lambda p: p.at_most)
+    most, shown = max(found, key=lambda p: p.at_most), _shows_too(diagnosis)
+    nothing = "improves the model, and these logs do not show if any is missing"
     return (
-        "No effect in the catalogue improves the model, and these logs do not show if any is missing: "
-        f"{refitted}; that the residual depends on the logged signals is not significant, but up to "
+        f"No effect in the catalogue {'improves predictions enough to be added' if shown else nothing}: "
+        f"{refitted}{shown}; that the residual depends on the logged signals is not significant, but up to "
         f"{most.at_most:.0%} of it in {most.degree_of_freedom} may do so: record longer runs, or treat it as "
         "a disturbance."
     )
 
 
+def _shows_too(diagnosis: Diagnosis) -> str:
+    """A clause on the effect that the residual shows most where none was added; empty if it shows none."""
+    found = (c for c in diagnosis.ranking if c.sure == "yes")
+    best = max(found, key=lambda c: c.share_of_error, default=None)
+    if best is None:
+        return ""
+    why = f": {best.not_named}" if best.not_named else ""
+    return (
+        f"; {best.effect} lowers the residual from {best.error_before:.3g} to {best.error_after:.3g} times "
+        f"the noise, by more than chance, but is not added{why}"
+    )
+
+
+def _predicted(part: Predictability) -> str:
+    signals = f" (from {listed(list(part.variables))})" if part.variables else ""
+    return f"{part.share:.0%} of it in {part.degree_of_freedom}{signals}"
+
+
 def _where_to_look(diagnosis: Diagnosis) -> str:
-    worst = max(diagnosis.remaining, key=lambda r: r.normalised_error, default=None)
+    above = [r for r in diagnosis.remaining if r.excess_rms > 0.0]
+    worst = max(above, key=lambda r: r.normalised_error, default=None)
     if worst is None:
         return "check the logs with undertow doctor"
     place = f"the residual exceeds the noise most in {worst.degree_of_freedom}"
+    if some := [p for p in diagnosis.predictable if p.significant and not _has_terms(diagnosis)]:
+        motions = [_predicted(p) for p in some]
+        return (
+            f"{place}, and no single logged variable clearly explains it, but several together predict "
+            f"{listed(motions)}: more runs may show how; undertow doctor checks the logs"
+        )
     if not _has_terms(diagnosis):
         return (
             f"{place}, and no logged variable clearly explains it: more runs may show what it depends on; "
