@@ -79,14 +79,13 @@ def test_a_chosen_effect_has_one_error_and_the_values_that_are_handed_on() -> No
         validator=SimpleNamespace(predicting_fit=lambda fit: fit),
         _alike={"e": (rival, "a e")},
     )
-    models = [ResultBuilder._models_with(builder, f) for f in (first, second, helping, other, rival)]  # type: ignore[arg-type]
-    assert models == [
-        ("a", "a b"),
-        ("a b", "a b"),
-        ("a b c", "a b c"),
-        ("fit of d", "fit of d"),
-        ("a e", "fit of e"),
-    ]
+    builder._place = lambda f: ResultBuilder._place(builder, f)  # type: ignore[arg-type]
+    builder._error = builder._normalised = lambda fit: fit
+    all_five = (first, second, helping, other, rival)
+    errors = [ResultBuilder._error_with(builder, f) for f in all_five]  # type: ignore[arg-type]
+    values = [ResultBuilder._model_for_values(builder, f) for f in all_five]  # type: ignore[arg-type]
+    assert errors == ["a", "a b", "a b c", "fit of d", "a e"]
+    assert values == ["a b", "a b", "a b c", "fit of d", "fit of e"]
 
 
 @pytest.mark.parametrize(

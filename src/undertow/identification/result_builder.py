@@ -331,8 +331,12 @@ class ResultBuilder:
         except UndertowError as error:
             return f"No manoeuvre can be suggested: {error}", False
 
+    def _error(self, fit: Fitted) -> float:
+        """Error of a model that was chosen, in units of the noise, as `add` gives it."""
+        return score_of(fit, self.bench.test, self._whitening).error
+
     def _normalised(self, fit: Fitted) -> float:
-        """Error in units of the noise, without the part due to unknown initial states."""
+        """Error in units of the noise; states with unknown initial values are no advantage over others."""
         before, data = self._base_score, self.bench.test
         after = score_of(fit, data, self._whitening, before.r)
         without, with_it = map(error_of, comparable_mean_squares(before, after, data))
@@ -354,7 +358,7 @@ class ResultBuilder:
         simulation = float(np.sqrt(np.mean(squares)))
         return Step(
             added=added,
-            error=self._normalised(fit),
+            error=self._error(fit),
             prediction=prediction,
             channels=channels,
             simulation=simulation if math.isfinite(simulation) else None,
@@ -366,7 +370,8 @@ class ResultBuilder:
     def _ordered_candidates(self) -> list[FoundEffect]:
         """The chosen effects in the order found, and the others added to the model as given.
 
-        If simulation decided, those simulated are in the order of their improvement of long predictions.
+        Those that could replace a chosen one follow it. If simulation decided, those simulated are in the
+        order of their improvement of long predictions.
         """
         chosen: dict[str, FoundEffect] = {}
         for found in [*self.judgement.effects, *self.judgement.helps]:
@@ -376,7 +381,9 @@ class ResultBuilder:
         falls = {i: gain.falls[max(gain.falls)] for i, gain in gains.items()}
         others = (alike.get(f.id, f) for f in self.found.rounds[0].findings if f.id not in chosen)
         last = -math.inf
-        rest = sorted(others, key=lambda f: (not self._is_significant(f), -falls.get(f.id, last)))
+        rest = sorted(
+            others, key=lambda f: (f.id not in alike, not self._is_significant(f), -falls.get(f.id, last))
+        )
         return [*chosen.values(), *rest]
 
     @cached_property
@@ -387,25 +394,40 @@ class ResultBuilder:
             c.findings[i].id: (c.findings[i], c.fit) for i, (_, rivals) in enumerate(sets) for c in rivals
         }
 
-    def _models_with(self, finding: FoundEffect) -> tuple[Fitted, Fitted]:
-        """The models that tell the error with a candidate, and its values.
-
-        An effect that was chosen has those of the steps, and the values that are handed on.
-        """
-        named = len(self.judgement.effects)
+    def _place(self, finding: FoundEffect) -> int | None:
+        """How many effects the model has once a chosen effect is in it; None for other candidates."""
         chosen = [*self.judgement.effects, *self.judgement.helps]
-        place = next((i for i, f in enumerate(chosen, start=1) if f is finding), None)
+        return next((i for i, f in enumerate(chosen, start=1) if f is finding), None)
+
+    def _model_for_values(self, finding: FoundEffect) -> Fitted:
+        """The model that tells the values of a candidate; those of a chosen one are handed on."""
+        place = self._place(finding)
         if place is not None:
-            return self.fits[place], self.fits[max(place, named)]
-        fit = self._alike[finding.id][1] if finding.id in self._alike else finding.trial.fit
-        return fit, self.validator.predicting_fit(finding.trial.fit)
+            return self.fits[max(place, len(self.judgement.effects))]
+        return self.validator.predicting_fit(finding.trial.fit)
+
+    def _error_with(self, finding: FoundEffect) -> float:
+        """Error with a candidate; a chosen one has that of the steps."""
+        place = self._place(finding)
+        if place is not None:
+            return self._error(self.fits[place])
+        alike = self._alike.get(finding.id)
+        return self._normalised(finding.trial.fit if alike is None else alike[1])
+
+    def _share_by(self, finding: FoundEffect) -> float:
+        """Share of the excess that a candidate explains; of a chosen one, under the noise of the headline."""
+        place = self._place(finding)
+        if place is None:
+            return finding.explained
+        scores = self.bench.score(self._weak[place - 1]), self.bench.score(self._weak[place])
+        return share_explained(scores, self.bench.noise_level, self.bench)
 
     def _ranked(self, finding: FoundEffect) -> Ranked:
         trial = finding.trial
         helps = self._is_significant(finding) or (
             bool(trial.kept) and trial.score.error < self.bench.base_score.error
         )
-        whole, fit = self._models_with(finding)
+        fit = self._model_for_values(finding)
         names = [n for n in finding.parameters if n in fit.standard_errors] if helps and trial.kept else []
         return Ranked(
             effect=finding.id,
@@ -413,8 +435,8 @@ class ResultBuilder:
             about=trial.candidate.effect.about(),
             parameters=[estimate(fit, n, self.vehicle) for n in names],
             error_before=self._base_score.error,
-            error_after=self._normalised(whole) if helps else self._base_score.error,
-            explained=max(finding.explained, 0.0),
+            error_after=self._error_with(finding) if helps else self._base_score.error,
+            explained=max(self._share_by(finding), 0.0),
             improvement=finding.evidence.mean,
             interval=finding.evidence.interval,
             # If nothing is missing the simulation, which decides, needs none of them.
