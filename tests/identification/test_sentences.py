@@ -177,6 +177,13 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     ]
 
 
+def test_the_command_after_a_diagnosis_is_not_refused() -> None:
+    """`add` asks for a tenth over all horizons together; the search may have named what brings less."""
+    step = Step(added=["lift"], error=2.0, ahead={"5 s": 0.039, "20 s": 0.085, "free run": 0.1})
+    small = _diagnosis("missing_effect", steps=[REFITTED, step])
+    assert next_command(small, LINE) == next_command(_diagnosis("missing_effect"), LINE) + " --force"
+
+
 def test_each_verdict_says_what_to_do() -> None:
     several = _diagnosis("missing_effect", effects=["lift", "wind"])
     assert "undertow add lift,wind 'my rov.toml'" in next_command(several, LINE)

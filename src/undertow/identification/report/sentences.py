@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import floor, inf, isfinite, log10
+from math import floor, inf, isfinite, log10, prod
 from pathlib import PurePath
 
 from undertow.errors import listed
@@ -289,7 +289,9 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
         return line.on_logs(["plan"], "--goal", "separate", "--between", between, "--out", "plan.csv")
     improved = line.vehicle_file(effects[0] if len(effects) == 1 else "better" if effects else "fitted")
     if effects and not freed:
-        return line.with_holdout(["add", ",".join(effects)], "--out", improved)
+        # By itself `add` may refuse what the search, with all candidates, found to be a small improvement.
+        force = ["--force"] if _fall(diagnosis) < DEFAULT.worth else []
+        return line.with_holdout(["add", ",".join(effects)], "--out", improved, *force)
     if effects or freed:
         return line.with_holdout(["diagnose"], "--apply", improved)
     if diagnosis.verdict == "adequate":
@@ -319,11 +321,23 @@ def _adding(diagnosis: Diagnosis) -> str:
 
 def _change(diagnosis: Diagnosis) -> str:
     """How the effects, and changed values, affect the error."""
-    effects = set(_effects_mentioned(diagnosis))
-    plain = diagnosis.steps[0] if diagnosis.freed else [s for s in diagnosis.steps if not s.added][-1]
-    after = [s for s in diagnosis.steps if set(s.added) <= effects][-1]
+    plain, after = _without_and_with(diagnosis)
     by_horizon = step_changes(plain, after)
     return by_horizon or f"brings the error from {plain.error:.3g} to {after.error:.3g} times the noise"
+
+
+def _without_and_with(diagnosis: Diagnosis) -> tuple[Step, Step]:
+    """The models without and with the effects of the first sentence."""
+    effects = set(_effects_mentioned(diagnosis))
+    plain = diagnosis.steps[0] if diagnosis.freed else [s for s in diagnosis.steps if not s.added][-1]
+    return plain, [s for s in diagnosis.steps if set(s.added) <= effects][-1]
+
+
+def _fall(diagnosis: Diagnosis) -> float:
+    """Fall of the error over all horizons together, as a share of it."""
+    before, after = (step.ahead for step in _without_and_with(diagnosis))
+    ratios = [after.get(h, inf) / before[h] for h in _horizons([before]) if before[h] > 0.0]
+    return 1.0 - prod(ratios) ** (1.0 / len(ratios)) if ratios else 1.0
 
 
 def _has_terms(diagnosis: Diagnosis) -> bool:
