@@ -20,7 +20,7 @@ from undertow.identification.findings import LongLogs, ResultTable
 from undertow.model.vehicle import Vehicle
 from undertow.version import __version__
 
-from .sentences import as_stated, changes, percentage, rises, step_changes, useless
+from .sentences import as_stated, both, changes, rises, step_changes, useless
 
 
 class FittedParameter(ResultTable):
@@ -144,8 +144,9 @@ def _change(addition: Addition) -> str:
         return f"{change}."
     before, after = addition.ahead
     verb = "rises" if rises(before, after) else "falls" if rises(after, before) else ""
-    moves = f"{verb} from {percentage(before)} to" if verb else "stays at"
-    errors = f"over all horizons together the error {moves} {percentage(after)} %"
+    first, last = both(before, after)
+    moves = f"{verb} from {first} to" if verb else "stays at"
+    errors = f"over all horizons together the error {moves} {last} %"
     if rises(before, after):
         return f"{change}; {errors}, so it does not improve predictions enough to be added."
     old, new = addition.before.error, addition.after.error

@@ -66,9 +66,29 @@ def _places(share: float, digits: int = 2) -> int:
 def rises(before: float | None, after: float | None) -> bool:
     """Whether an error rises in the digits that are printed of it, and by more than their rounding."""
     low, high = (inf if share is None else share for share in (before, after))
-    if not isfinite(low) or percentage(low) == percentage(high):
+    return isfinite(low) and high > low and _differ(low, high, _digits(low, high))
+
+
+def both(before: float | None, after: float | None) -> tuple[str, str]:
+    """Two errors in per cent, with the digits that show whether one is larger."""
+    digits = _digits(*(inf if share is None else share for share in (before, after)))
+    return percentage(before, digits), percentage(after, digits)
+
+
+_SEEN = 0.02  # relative change of an error that tables show, and sentences must not call none
+
+
+def _digits(low: float, high: float) -> int:
+    """Digits of two errors that are compared: two, or three where only these show a change."""
+    same = isfinite(low) and isfinite(high) and not _differ(low, high, 2)
+    return 3 if same and abs(high - low) >= _SEEN * max(low, high) else 2
+
+
+def _differ(low: float, high: float, digits: int) -> bool:
+    if percentage(low, digits) == percentage(high, digits):
         return False
-    return not isfinite(high) or 100 * (high - low) >= 0.5 * 10.0 ** -_places(high)
+    larger = max(low, high)
+    return not isfinite(larger) or 100 * abs(high - low) >= 0.5 * 10.0 ** -_places(larger, digits)
 
 
 def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
@@ -194,8 +214,8 @@ def _error(horizon: str) -> str:
 
 
 def _from_to(horizon: str, before: float | None, after: float | None) -> str:
-    end = "" if percentage(after) == "diverging" else " %"
-    return f"{_error(horizon)} from {percentage(before)} to {percentage(after)}{end}"
+    old, new = both(before, after)
+    return f"{_error(horizon)} from {old} to {new}{'' if new == 'diverging' else ' %'}"
 
 
 def _at(horizon: str, share: float | None) -> str:
