@@ -37,6 +37,7 @@ from undertow.identification.planning.problem import (
     PlanningProblem,
     PlanRequest,
     Plant,
+    Separation,
     gram_along,
     stated_knowledge,
 )
@@ -44,6 +45,7 @@ from undertow.identification.planning.rivals import RivalSpec, rival_models
 from undertow.identification.planning.search import (
     Planned,
     Separations,
+    _SeparationSearch,  # for distances that no log here has
     plan_parameters,
     plan_separation,
     suggest,
@@ -540,6 +542,17 @@ def test_only_what_is_commanded_can_be_planned() -> None:
     assert can_be_planned(otter)
     assert not can_be_planned(replace(otter, thrusters=()))
     assert not can_be_planned(replace(otter, inputs={"wind_speed": "m/s"}))
+
+
+def test_logs_that_tell_models_apart_do_not_deny_a_diagnosis_that_could_not() -> None:
+    """The command comes from a diagnosis that found them equally good: noise alone does not decide."""
+    pair = Separation(
+        pair=("a", "b"), chi_square=200.0, deviations=14.0, chi_square_now=59.0, deviations_now=7.7
+    )
+    search = SimpleNamespace(rivals=[], inflation=1.0)
+    (remark,) = _SeparationSearch._remarks(search, [pair])  # type: ignore[arg-type]
+    assert remark.startswith("by the noise of the sensors alone, the existing logs tell all of these models")
+    assert remark.endswith("or that they still predict the validation data equally well")
 
 
 def test_no_plan_is_recommended_that_would_be_refused(monkeypatch: pytest.MonkeyPatch) -> None:

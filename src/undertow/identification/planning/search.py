@@ -465,8 +465,9 @@ class _SeparationSearch(PlanSearch):
         now = [p.deviations_now for p in pairs]
         if all(d is not None and d > SEPARATION.separated for d in now):
             lines.append(
-                "the existing logs already tell all of these models apart: undertow diagnose says "
-                "which is right"
+                "by the noise of the sensors alone, the existing logs tell all of these models apart: "
+                "undertow diagnose says which is right, or that they still predict the validation data "
+                "equally well"
             )
         assumed = [r.name for r in self.rivals if r.source == "typical size"]
         if assumed:
