@@ -387,7 +387,7 @@ def _only_disturbance(diagnosis: Diagnosis, refitted: str) -> str:
     most, shown = max(found, key=lambda p: p.at_most), _shows_too(diagnosis)
     nothing = "improves the model, and these logs do not show if any is missing"
     return (
-        f"No effect in the catalogue {'improves predictions enough to be added' if shown else nothing}: "
+        f"No effect in the catalogue {'could be added' if shown else nothing}: "
         f"{refitted}{shown}; that the residual depends on the logged signals is not significant, but up to "
         f"{most.at_most:.0%} of it in {most.degree_of_freedom} may do so: record longer runs, or treat it as "
         "a disturbance."
