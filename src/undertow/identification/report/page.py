@@ -56,7 +56,7 @@ def errors_by_regime(before: Comparison, after: Comparison | None = None) -> Err
     occurring = {c.regime for c in before.result.cells if c.normalised is not None}
     names = tuple(dict.fromkeys(r.name for r in before.regimes if r.name in occurring))
     other = None if after is None else _map(after, rows, names)
-    return ErrorMap(rows, names, _map(before, rows, names), other, quantity="residual force / noise")
+    return ErrorMap(rows, names, _map(before, rows, names), other, quantity="× noise")
 
 
 def _map(comparison: Comparison, rows: tuple[str, ...], names: tuple[str, ...]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from undertow.errors import UndertowError
 from undertow.figures import (
@@ -237,6 +238,7 @@ def error_map(errors: ErrorMap, names: tuple[str, str] = ("before", "after")) ->
         bar = picture.colorbar(image, ax=list(axes[:, 0]), shrink=0.9, pad=0.02)
         bar.set_label(plain(errors.quantity))
         bar.ax.yaxis.set_major_formatter(_plain_number)
+        bar.ax.yaxis.set_minor_formatter(LogFormatter())  # labels few where there are many
     return picture
 
 
