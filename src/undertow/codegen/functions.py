@@ -11,7 +11,7 @@ import casadi as ca
 import sympy as sm
 
 from undertow.model.composition import stated
-from undertow.model.effect import ACROSS, Curve, Flow, Number, Propeller, Surface, Wrench
+from undertow.model.effect import THRUSTERS, Curve, Flow, Number, Propeller, Surface, Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
@@ -519,7 +519,7 @@ def _thruster(thruster: Thruster, names: _Names, curves: dict[Curve, Curve]) -> 
     name, law = thruster.name, thruster.law
     ahead, *others = thruster.wrench[:3]
     # Which thrusters push across the hull, as rudders do, is no number: it stays as in the file.
-    e = [names.of(f"e_x_{name}", "1", ahead, abs(ahead) >= ACROSS)]
+    e = [names.of(f"e_x_{name}", "1", ahead, abs(ahead) >= THRUSTERS.largest_part_ahead)]
     e += [names.of(f"e_{a}_{name}", "1", v) for a, v in zip("yz", others, strict=True)]
     if thruster.position is None or not _same(thruster.wrench, thruster.position):
         moment = sm.Matrix(names.row("lever", name, "m", thruster.wrench[3:]))

@@ -437,9 +437,21 @@ def kind_of(effect: Effect | type[Effect]) -> str:
 
 
 # --- hardware as effects see it -------------------------------------------------------------------
-ACROSS = 1e-6
-"""Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files."""
 Number = Any  # a float, or a symbol on a specimen
+
+
+@dataclass(frozen=True)
+class ThrusterSettings:
+    """Numbers by which thrusters and their curves are judged."""
+
+    # Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files.
+    largest_part_ahead: float = 1e-6
+    curve_points: int = 400  # commands at which a curve is tried for a fall, but for the first one
+    rounding: float = 1e-9  # fall of a curve, as a share of its rise, that is rounding
+    halvings: int = 60  # of the range of a curve in search of a command: they leave nothing of it
+
+
+THRUSTERS = ThrusterSettings()
 
 
 @dataclass(frozen=True)
@@ -551,8 +563,9 @@ class Curve:
     @cached_property
     def _falls(self) -> bool:
         low, high = self.pieces[0][0], self.pieces[-1][1]
-        thrusts = [self.at(low + (high - low) * k / _GRID) for k in range(_GRID + 1)]
-        rounding = _FALL * abs(thrusts[-1] - thrusts[0])
+        points = THRUSTERS.curve_points
+        thrusts = [self.at(low + (high - low) * k / points) for k in range(points + 1)]
+        rounding = THRUSTERS.rounding * abs(thrusts[-1] - thrusts[0])
         return any(b < a - rounding for a, b in pairwise(thrusts))
 
     def inverse(self, thrust: float) -> float:
@@ -563,7 +576,7 @@ class Curve:
         if self._falls:
             raise UndertowError("the thrust falls with the command somewhere: no command belongs to a thrust")
         low, high = self.pieces[0][0], self.pieces[-1][1]
-        for _ in range(_HALVINGS):
+        for _ in range(THRUSTERS.halvings):
             middle = (low + high) / 2
             low, high = (low, middle) if self.at(middle) >= thrust else (middle, high)
         return (low + high) / 2
@@ -580,11 +593,6 @@ def _thrust(curve: Curve, command: sm.Expr) -> sm.Expr:
             powers = (powers + _number(c)) * beyond
         total += powers
     return total
-
-
-# Commands at which a curve is tried for a fall, the share of its rise that is rounding, and halvings of the
-# range that leave nothing of it.
-_GRID, _FALL, _HALVINGS = 400, 1e-9, 60
 
 
 def _slope_between(h: float, rise: float, after: float, next_rise: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from math import hypot, inf, isfinite
 
 import sympy as sm
@@ -16,7 +17,19 @@ from .symbols import CHANNELS, DOFS, FORCE, failing_pivot, symbol
 from .vehicle import Thruster, Value, Vehicle
 
 _LIMITS = Limits()
-_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """How equations are checked."""
+
+    # Share of the trace of a mass matrix down to which a negative pivot is rounding.
+    rounding: float = 1e-12
+    # Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
+    creeping: tuple[float, ...] = (0.0, 0.1, -0.1)
+
+
+SETTINGS = CheckSettings()
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
@@ -164,18 +177,14 @@ def _check_complete(vehicle: Vehicle) -> None:
         raise UndertowError("the vehicle has no inertia: add [effects.rigid_body]")
 
 
-# Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
-_CREEPING = (0.0, 0.1, -0.1)
-
-
 def _check_defined(vehicle: Vehicle) -> None:
     """Refuse equations without a finite value: division by zero, the root of a negative velocity."""
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
     nu = set(vehicle.composition.nu)
-    creeping = {speed: known | dict.fromkeys(nu, sm.Float(speed)) for speed in _CREEPING}
+    creeping = {speed: known | dict.fromkeys(nu, sm.Float(speed)) for speed in SETTINGS.creeping}
     for what, part in _equation_parts(vehicle):
         # What no velocity is in is the same at all of them.
-        for speed in _CREEPING if nu & part.free_symbols else _CREEPING[:1]:
+        for speed in SETTINGS.creeping if nu & part.free_symbols else SETTINGS.creeping[:1]:
             if not all(isfinite(_number(row, creeping[speed])) for row in part):
                 moving = f"with all velocities at {speed:g}" if speed else "at rest"
                 raise UndertowError(
@@ -207,7 +216,7 @@ def _check_inertia(vehicle: Vehicle) -> None:
     for direction, way in ((1, "forward"), (-1, "backward")):
         rows = mass_matrix_at(vehicle, direction)
         trace = sum(rows[i][i] for i in range(len(rows)))
-        pivot = failing_pivot(rows, -_ROUNDING * abs(trace))
+        pivot = failing_pivot(rows, -SETTINGS.rounding * abs(trace))
         if pivot is not None:
             dof, value = vehicle.degrees_of_freedom[pivot], rows[pivot][pivot]
             if value == 0:

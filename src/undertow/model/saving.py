@@ -91,8 +91,18 @@ def array_of_tables(document: Any, key: str) -> Any:
     return document[key]
 
 
-# Ten significant digits are written, which is half of this at worst.
-_SAME = 1e-9
+@dataclass(frozen=True)
+class SavingSettings:
+    """How vehicle files are written."""
+
+    # Relative difference of numbers that are the same when written. Ten significant digits are written, which
+    # is half of this at worst.
+    rounding: float = 1e-9
+    named_logs: int = 3  # that the source of a fitted value names
+    covariance_digits: int = 6  # significant digits of a covariance
+
+
+SETTINGS = SavingSettings()
 _ORDER = (
     *("value", "forward", "backward", "assumed", "estimate", "per_run"),
     *("sigma", "sigma_forward", "sigma_backward", "allow_sign", "override", "source"),
@@ -178,7 +188,7 @@ def _fields(raw: Any) -> dict[str, Any]:
 
 
 def _same_number(raw: Any, number: float, unit: str, place: str) -> bool:
-    return isclose(si_of(place, raw, unit), number, rel_tol=_SAME / 2)
+    return isclose(si_of(place, raw, unit), number, rel_tol=SETTINGS.rounding / 2)
 
 
 def _style_of(old: Mapping[str, Any], unit: str) -> Any:
@@ -218,8 +228,6 @@ def _inline(fields: Mapping[str, Any]) -> Any:
 
 _BEFORE = "; before: "
 _FITTED = re.compile(r"(fit to .* on \S+|fitted)", re.DOTALL)
-_SHOWN_LOGS = 3
-_COVARIANCE_DIGITS = 6
 
 
 def fit_source(history: Mapping[str, object] | None, before: str, *, mean: bool = False) -> str:
@@ -247,8 +255,9 @@ def _log_names(history: Mapping[str, object]) -> str:
     assert isinstance(logs, Sequence)
     used = [log for log in logs if not isinstance(log, Mapping) or log.get("role") != "holdout"]
     names = [str(log["name"] if isinstance(log, Mapping) else log) for log in used]
-    more = f" and {len(names) - _SHOWN_LOGS} more" if len(names) > _SHOWN_LOGS else ""
-    return ", ".join(names[:_SHOWN_LOGS]) + more
+    most = SETTINGS.named_logs
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def append_history(document: Any, vehicle: Vehicle, entry: Mapping[str, object], signs: str) -> None:
@@ -307,13 +316,10 @@ def _covariance(vehicle: Vehicle, stated: Mapping[str, Any], signs: str) -> dict
     names = [str(n) for n in stated["parameters"]]
     turn = [printed(vehicle.declaration(name), 1.0, signs) for name in names]
     rows = [
-        [float(f"{turn[i] * turn[j] * float(v):.{_COVARIANCE_DIGITS}g}") for j, v in enumerate(row)]
+        [float(f"{turn[i] * turn[j] * float(v):.{SETTINGS.covariance_digits}g}") for j, v in enumerate(row)]
         for i, row in enumerate(stated["matrix"])
     ]
     return {"parameters": names, "matrix": rows}
-
-
-_ROUND_TRIP = 1e-9
 
 
 def save_vehicle(
@@ -390,7 +396,7 @@ def _check(text: str, vehicle: Vehicle, path: Path, folder: Path) -> None:
         raise UndertowError(f"{path} cannot carry the new values: {error}") from error
     for name in sorted({*vehicle.values, *again.values, *(f"thrust_{t.name}" for t in vehicle.thrusters)}):
         value, written = vehicle.value_of(name).value, again.value_of(name).value
-        if not isclose(value, written, rel_tol=_ROUND_TRIP, abs_tol=1e-300):
+        if not isclose(value, written, rel_tol=SETTINGS.rounding, abs_tol=1e-300):
             raise UndertowError(
                 f"{path} cannot carry {name} = {value:.10g}: it would read {written:.10g}; "
                 f"write the parameter by hand"
@@ -405,7 +411,7 @@ def _write_head(document: Any, vehicle: Vehicle) -> None:
         ("gravity", "g", "m/s^2", 9.81),
     ):
         raw = document.get(key, default)
-        if not isclose(si_of(key, raw, unit), vehicle.environment[name], rel_tol=_ROUND_TRIP / 2):
+        if not isclose(si_of(key, raw, unit), vehicle.environment[name], rel_tol=SETTINGS.rounding / 2):
             document[key] = stated(vehicle.environment[name], unit, raw)
 
 
@@ -478,7 +484,7 @@ def _derived_elsewhere(table: Any, effect: Effect, vehicle: Vehicle, shared: Map
     wrong = set()
     for name, number in derived.items():
         value = vehicle.value_of(name)
-        same = isclose(value.value, number, rel_tol=_ROUND_TRIP / 2)
+        same = isclose(value.value, number, rel_tol=SETTINGS.rounding / 2)
         if not same or value.estimate or value.sigma is not None:
             wrong.add(name)
     for key in own:

@@ -23,7 +23,17 @@ _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTA
 _UNIT = re.compile(
     r"(?:1(?= ?/|$))?(?:[A-Za-z\u00b5\u03bc\u03a9\u00b0%_]|\^[+-]?\d(?![\d.^])|[*/() ])*", re.ASCII
 )
-_LONGEST = 80
+
+
+@dataclass(frozen=True)
+class TextSettings:
+    """How much text is read as a unit, and shown in errors."""
+
+    longest_unit: int = 80  # characters of a unit; a number with its unit may have twice as many
+    longest_term: int = 70  # characters of a term that an error shows
+
+
+_TEXT = TextSettings()
 
 
 @dataclass(frozen=True)
@@ -154,8 +164,8 @@ def _affine(unit_from: str, unit_to: str) -> tuple[float, float]:
 def _unit(text: str) -> Unit:
     plain = re.sub(r"\s*(?:\^|\*\*)\s*", "^", text.strip().translate(_PLAIN))
     plain = re.sub(r"\bNm\b", "N m", plain)  # pint reads Nm as a textile unit; every log means newton metre
-    if len(plain) > _LONGEST or not _UNIT.fullmatch(plain):
-        raise UndertowError(f"unit {text[:_LONGEST]!r} is not understood: {_HOW}")
+    if len(plain) > _TEXT.longest_unit or not _UNIT.fullmatch(plain):
+        raise UndertowError(f"unit {text[: _TEXT.longest_unit]!r} is not understood: {_HOW}")
     plain = re.sub(r"^(?:1|$)", "dimensionless", plain)
     try:
         return registry().parse_units(plain)
@@ -165,9 +175,11 @@ def _unit(text: str) -> Unit:
 
 def _split(text: str, wanted: str) -> tuple[float, str]:
     plain = text.strip()
-    match = _NUMBER.fullmatch(plain) if len(plain) <= 2 * _LONGEST else None
+    match = _NUMBER.fullmatch(plain) if len(plain) <= 2 * _TEXT.longest_unit else None
     if match is None:
-        raise UndertowError(f"{text[:_LONGEST]!r} is not a number with a unit: write it like '1.5 {wanted}'")
+        raise UndertowError(
+            f"{text[: _TEXT.longest_unit]!r} is not a number with a unit: write it like '1.5 {wanted}'"
+        )
     return float(match[1]), match[2]
 
 
@@ -180,7 +192,7 @@ def _finite(number: float, value: object, unit: str) -> float:
     if not math.isfinite(result):
         # An integer of thousands of digits cannot even be printed.
         shown = value if isinstance(value, str | float) else f"{type(value).__name__} out of range"
-        raise UndertowError(f"{str(shown)[:_LONGEST]!r} is not a finite quantity: give {wanted}")
+        raise UndertowError(f"{str(shown)[: _TEXT.longest_unit]!r} is not a finite quantity: give {wanted}")
     return result
 
 
@@ -192,7 +204,6 @@ _PLAIN_ARGUMENT = (
 )  # fmt: skip
 _FAMILIAR = ("N", "N m", "W", "m", "m/s", "m/s^2", "kg", "kg m", "kg m^2", "s", "rad/s^2")
 _BASE = {"[length]": "m", "[mass]": "kg", "[time]": "s", "[temperature]": "K", "[current]": "A"}
-_LONGEST_TERM = 70
 
 
 @cache
@@ -334,4 +345,4 @@ class _Analysis:
 
 def _short(e: sm.Basic) -> str:
     text = str(e)
-    return f"'{text if len(text) <= _LONGEST_TERM else text[:_LONGEST_TERM] + '...'}'"
+    return f"'{text if len(text) <= _TEXT.longest_term else text[: _TEXT.longest_term] + '...'}'"

@@ -2,7 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import ACROSS, PerThruster, Signals, Wrench
+from undertow.model.effect import THRUSTERS, PerThruster, Signals, Wrench
 
 
 class RudderForce(Wrench):
@@ -31,4 +31,6 @@ class RudderForce(Wrench):
     @staticmethod
     def _is_across(ahead: sm.Expr) -> int:
         """1 for a command across the hull, or of unknown direction; directions are rounded in files."""
-        return int(abs(float(ahead)) < ACROSS if ahead.is_number else not ahead.is_nonzero)
+        if not ahead.is_number:
+            return int(not ahead.is_nonzero)
+        return int(abs(float(ahead)) < THRUSTERS.largest_part_ahead)
