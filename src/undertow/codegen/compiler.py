@@ -293,10 +293,17 @@ def _places(sparsity: ca.Sparsity, packed: bool) -> tuple[int, list[int]]:
 # --- where compiled libraries are kept, and when one is trusted -----------------------------------
 _LOG = logging.getLogger("undertow")
 _OURS = re.compile(r"[0-9a-f]{24}(\.json|-[0-9a-f]{16}\.\w+)|build-\w+")
-# Seconds that an unused library is kept.
-_KEPT_FOR = 90 * 86400.0
-# Seconds after which the folder of a build, which may last ten minutes, counts as left.
-_LEFT_FOR = 3600.0
+
+
+@dataclass(frozen=True)
+class LibrarySettings:
+    """How long compiled libraries are kept, s."""
+
+    unused_library: float = 90 * 86400.0  # since its last use
+    abandoned_build: float = 3600.0  # since the last change of its folder; a build may last ten minutes
+
+
+LIBRARIES = LibrarySettings()
 
 
 def library_for(source: str, compiler: Compiler, folder: Path | None = None) -> Path:
@@ -357,7 +364,8 @@ def _remove_old(folder: Path) -> None:
     with suppress(OSError):
         for path in [p for p in folder.iterdir() if _OURS.fullmatch(p.name)]:
             with suppress(OSError):
-                kept_for = _LEFT_FOR if path.name.startswith("build-") else _KEPT_FOR
+                is_build = path.name.startswith("build-")
+                kept_for = LIBRARIES.abandoned_build if is_build else LIBRARIES.unused_library
                 if path.lstat().st_mtime < now - kept_for:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
@@ -443,10 +451,20 @@ _MSVC_FLAGS = ("/nologo", "/std:c11", "/O1", "/fp:precise", "/LD", "/w")
 # For loops on this machine alone: exported code never has them. Multiply and add may be fused: what these
 # loops run is not the expressions of the virtual machine anyway, but a form that agrees to rounding.
 _LOCAL_FLAGS = ("-O2", "-march=native", "-ffp-contract=fast")
-# Macro that is defined where the processor has vectors of so many doubles, and how many runs then are fastest
-# side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without AVX than one.
-_LANES = {"__AVX512F__": 8, "__AVX__": 4, "__aarch64__": 4}
-_TIME_LIMIT = 600.0
+
+
+@dataclass(frozen=True)
+class CompilerSettings:
+    """How a C compiler is used."""
+
+    # Macro that is defined where the processor has vectors of so many doubles, and how many runs then are
+    # fastest side by side. Measured on x86-64: 8 lanes in narrower vectors are slower than 4, and 4 without
+    # AVX than one.
+    lanes: tuple[tuple[str, int], ...] = (("__AVX512F__", 8), ("__AVX__", 4), ("__aarch64__", 4))
+    time_limit: float = 600.0  # s that one call of the compiler may last
+
+
+SETTINGS = CompilerSettings()
 
 
 @dataclass(frozen=True)
@@ -472,7 +490,7 @@ class Compiler:
     def lanes(self) -> int:
         """How many runs are simulated fastest side by side; one without the vector extensions of GCC."""
         known = set() if self.is_msvc else _macros(_processor(self.command))
-        return next((n for macro, n in _LANES.items() if macro in known and "__GNUC__" in known), 1)
+        return next((n for macro, n in SETTINGS.lanes if macro in known and "__GNUC__" in known), 1)
 
     @property
     def is_msvc(self) -> bool:
@@ -574,7 +592,7 @@ def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_TIME_LIMIT,
+            timeout=SETTINGS.time_limit,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -135,9 +135,18 @@ _CROSS = tuple(
 )
 Entry = tuple[int, int]
 Terms = list[tuple[int, Entry]]
-_TRIALS = 3
-_ROUNDING = 1e-12
-_SEED = 0
+
+
+@dataclass(frozen=True)
+class IdentitySettings:
+    """How two expressions are compared at random points."""
+
+    points: int = 3
+    seed: int = 0  # of the random points
+    rounding: float = 1e-12  # difference, relative to the largest entry, that is rounding
+
+
+IDENTITY = IdentitySettings()
 
 
 @dataclass(frozen=True)
@@ -342,11 +351,11 @@ def _symmetric(known: Mapping[Entry, ca.SX]) -> ca.SX:
 def identical(left: ca.SX, right: ca.SX, symbols: ca.SX) -> bool:
     """Whether two expressions are identical: equal at random points but for rounding."""
     both = ca.Function("both", [symbols], [ca.densify(left), ca.densify(right)])
-    random = np.random.default_rng(_SEED)
-    for _ in range(_TRIALS):
+    random = np.random.default_rng(IDENTITY.seed)
+    for _ in range(IDENTITY.points):
         a, b = (np.asarray(e) for e in both(random.uniform(0.5, 2, symbols.numel())))
         scale = max(np.abs(a).max(initial=0.0), np.abs(b).max(initial=0.0))
-        if not np.abs(a - b).max(initial=0.0) <= _ROUNDING * scale:
+        if not np.abs(a - b).max(initial=0.0) <= IDENTITY.rounding * scale:
             return False
     return True
 

@@ -19,8 +19,17 @@ from .functions import Functions
 from .manifest import Entry, Manifest
 from .spelling import Dialect, Part, Struct, comment, fill
 
-# Step and length of the example's run, s, and rows between two that it prints.
-_STEP, _ROWS, _EVERY = 0.02, 500, 25
+
+@dataclass(frozen=True)
+class ExampleSettings:
+    """The run of the example."""
+
+    step: float = 0.02  # s
+    steps: int = 500
+    steps_between_rows: int = 25  # that it prints
+
+
+EXAMPLE = ExampleSettings()
 
 
 def _parameters(c: Dialect, manifest: Manifest) -> Struct:
@@ -90,12 +99,12 @@ def _example(c: Dialect, manifest: Manifest) -> str:
     )
     head = ",".join(["t", *(comment(e.name) for e in manifest.states)])
     return f"""\
-  const {real} h = {c.constant(_STEP)}, u[] = {{{u}}};
+  const {real} h = {c.constant(EXAMPLE.step)}, u[] = {{{u}}};
   const {n}_parameters p = {n}_parameters_default; /* change what differs on your vehicle */
   {real} x[{upper}_STATES] = {{0}};
   printf("{head}\\n");
-  for (int k = 0; k <= {_ROWS}; k++) {{
-    if (k % {_EVERY} == 0) {{
+  for (int k = 0; k <= {EXAMPLE.steps}; k++) {{
+    if (k % {EXAMPLE.steps_between_rows} == 0) {{
       printf("%.17g", (double)(({real})k * h));
       for (int i = 0; i < {upper}_STATES; i++) {{
         printf(",%.17g", (double)x[i]);
