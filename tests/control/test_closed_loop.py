@@ -13,6 +13,7 @@ from tests.quick import first_quick
 from undertow.control.closed_loop import ClosedLoop, Overrides, Push, Scenario
 from undertow.control.closed_loop.interconnection import SampledLoop
 from undertow.control.closed_loop.measures import divergence, implausible
+from undertow.control.closed_loop.scenario import RUNS
 from undertow.control.closed_loop.stepping import VirtualLoop
 from undertow.control.gains import GainTable, ScheduleTable, gains_from_table, load_gains
 from undertow.errors import UndertowError
@@ -179,7 +180,8 @@ def test_without_a_compiler_the_numbers_are_the_same(gains: str, continuous: boo
 def test_a_long_run_in_parts_is_the_same_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = Scenario(GOAL, 2.0, 0.001, noise={"psi": 0.01}, seed=3)
     at_once = loop("paper-pd").run(scenario)
-    monkeypatch.setattr("undertow.control.closed_loop.simulate._SAMPLES_PER_CALL", 77)
+    in_many_parts = replace(RUNS, samples_per_call=77)
+    monkeypatch.setattr("undertow.control.closed_loop.simulate.RUNS", in_many_parts)
     in_parts = loop("paper-pd").run(scenario)
     for one, other in zip(in_parts.result.coordinates, at_once.result.coordinates, strict=True):
         assert replace(one, steady_error=0.0) == replace(other, steady_error=0.0)

@@ -11,7 +11,7 @@ import pytest
 from undertow.control import close_loop, family, find_trim, linearize, lqg, lqr
 from undertow.control.gains import GainSet, load_gains
 from undertow.control.linear.analysis import modes
-from undertow.control.linear.family import CORNER, spread_of
+from undertow.control.linear.family import SETTINGS, spread_of
 from undertow.control.linear.report import analyse
 from undertow.errors import UndertowError
 from undertow.model.effects.actuation_delay import ActuationDelay
@@ -163,9 +163,9 @@ def test_corners_are_the_vehicle_with_one_value_moved(auv: Vehicle) -> None:
     corners = {m.name: m for m in found.members}
     assert found.members[0].name == "stated"
     assert not any("backward" in name for name in corners)  # it goes forward
-    drag = corners[f"X_uabsu_forward - {CORNER:g} sigma"]
+    drag = corners[f"X_uabsu_forward - {SETTINGS.corner_distance:g} sigma"]
     (surge,) = [m.pole.real for m in drag.modes if m.states == ("u",)]
-    slope = 0.142306 + 2 * (5.153776 + CORNER * 1.0) * 0.5
+    slope = 0.142306 + 2 * (5.153776 + SETTINGS.corner_distance * 1.0) * 0.5
     assert surge == pytest.approx(-slope / 9.130825, rel=1e-9)
     slowest = [max(m.pole.real for m in corners[n].modes if m.pole) for n in corners]
     together = max(m.pole.real for m in corners["all together, slowest"].modes if m.pole)
@@ -178,7 +178,9 @@ def test_a_loop_family_keeps_the_law(auv: Vehicle) -> None:
     assert not found.unstable
     heavier = next(m for m in found.members if m.name == "X_udot_backward - 2 sigma")
     (surge,) = [m for m in heavier.modes if set(m.states) == {"x", "u"} and m.pole.imag]
-    assert surge.frequency == pytest.approx(np.sqrt(0.2 / (9.432838 + CORNER * 0.28)), rel=1e-6)
+    assert surge.frequency == pytest.approx(
+        np.sqrt(0.2 / (9.432838 + SETTINGS.corner_distance * 0.28)), rel=1e-6
+    )
     expected = close_loop(auv, gains, find_trim(auv, direction={"u": -1})).closed
     np.testing.assert_allclose(found.members[0].system.A, expected.A)
 

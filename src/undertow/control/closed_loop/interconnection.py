@@ -16,7 +16,7 @@ from undertow.errors import UndertowError
 from undertow.model.vehicle import Vehicle
 from undertow.observer.design import Design
 
-from .scenario import MOST_SAMPLES
+from .scenario import RUNS
 
 # Cosine of 45 degrees, less what rounding takes off.
 _ALIGNED = math.sqrt(0.5) - 1e-9
@@ -367,9 +367,9 @@ def check_steps(loop: SampledLoop, parts: Interconnection, dt: float, samples: i
     if any(parts.functions.late()):
         raise UndertowError("dead times need a sampled law: leave out --continuous")
     steps = float(samples) * loop.substeps(dt, continuous=True)
-    if steps > MOST_SAMPLES:
+    if steps > RUNS.most_samples:
         raise UndertowError(
             f"'{parts.controller.gains.name}' on '{parts.vehicle.name}' is as fast as "
             f"{loop.fastest_rate(continuous=True):.3g} 1/s: without sampling that takes {steps:.3g} steps, "
-            f"but {MOST_SAMPLES:.0e} is the limit; shorten the run, or leave out --continuous"
+            f"but {RUNS.most_samples:.0e} is the limit; shorten the run, or leave out --continuous"
         )

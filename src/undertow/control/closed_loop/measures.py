@@ -29,6 +29,9 @@ class MeasureSettings:
     regular: float = 0.1  # scatter of a period that still is one
     band: float = 0.02  # of a step, in which it has settled
     tail: float = 0.1  # part of the run, its end, over which the remaining error is measured
+    # Smallest amplitude of an oscillation that is mentioned, as a part of the largest error, and in m or rad.
+    least_amplitude_share: float = 2e-3
+    least_amplitude: float = 1e-5
 
 
 SETTINGS = MeasureSettings()

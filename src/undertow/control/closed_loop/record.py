@@ -15,15 +15,12 @@ from undertow.control.guidance.reference import Followed
 from undertow.files import json_ready
 from undertow.model.symbols import MOTION_UNITS
 
-from .measures import CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
+from .measures import SETTINGS, CommandResult, CoordinateResult, Cycle, Divergence, Measures, find_cycle
 
 if TYPE_CHECKING:
     from .interconnection import Interconnection
     from .scenario import Scenario
     from .stepping import Rows
-
-# Smallest amplitude of an oscillation that is mentioned, as a part of the largest error, and in m or rad.
-_LEAST, _TINY = 2e-3, 1e-5
 
 
 @dataclass(frozen=True)
@@ -260,5 +257,6 @@ def _mission_result(mission: Mission | None, t: np.ndarray, followed: Followed) 
 
 
 def _cycle(t: np.ndarray, error: np.ndarray) -> Cycle | None:
-    least = max(_LEAST * float(np.abs(error).max(initial=0.0)), _TINY)
+    largest = float(np.abs(error).max(initial=0.0))
+    least = max(SETTINGS.least_amplitude_share * largest, SETTINGS.least_amplitude)
     return find_cycle(t, error, least) if len(t) else None

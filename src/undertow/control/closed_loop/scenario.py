@@ -13,7 +13,16 @@ from undertow.model.symbols import FASTEST, FORCE_UNITS, MOTION_UNITS
 from undertow.model.tables import Quantity
 from undertow.model.units import si_of
 
-MOST_SAMPLES = 50_000_000
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How many samples a run may have, and how they are simulated."""
+
+    most_samples: int = 50_000_000  # of a run, or steps of one without sampling
+    samples_per_call: int = 20_000  # that are simulated at a time
+
+
+RUNS = RunSettings()
 
 
 @dataclass(frozen=True)
@@ -63,10 +72,10 @@ class Scenario:
             raise UndertowError(
                 f"dt = {self.dt:g} s is longer than the run of {self.duration:g} s: shorten it"
             )
-        if self.duration / self.dt > MOST_SAMPLES:
+        if self.duration / self.dt > RUNS.most_samples:
             raise UndertowError(
                 f"{self.duration:g} s at dt = {self.dt:g} s are {self.duration / self.dt:.3g} samples, but "
-                f"{MOST_SAMPLES:.0e} is the limit: shorten the run or lengthen dt"
+                f"{RUNS.most_samples:.0e} is the limit: shorten the run or lengthen dt"
             )
         if self.log_interval is not None and not self.dt <= self.log_interval <= self.duration:
             raise UndertowError(

@@ -26,7 +26,7 @@ from undertow.typing import Progress
 from .interconnection import Interconnection, SampledLoop, check_interval, check_steps, sampling_offsets
 from .measures import Measures, implausible
 from .record import Record, Recorder
-from .scenario import Scenario, heading
+from .scenario import RUNS, Scenario, heading
 from .stepping import SIGNALS, Block, CompiledLoop, LoopProblem, LoopStepper, VirtualLoop, problem_of
 
 Varied = Mapping[str, np.ndarray]
@@ -119,9 +119,6 @@ def _simulate(loop: ClosedLoop, scenario: Scenario, problem: LoopProblem, share:
 
 
 # --- blocks of runs -------------------------------------------------------------------------------
-_SAMPLES_PER_CALL = 20_000
-
-
 def blocks(
     parts: Interconnection,
     scenario: Scenario,
@@ -142,8 +139,8 @@ def blocks(
                 f"force {push.axis} pushes where '{parts.vehicle.name}' does not move: it has "
                 f"{', '.join(parts.vehicle.degrees_of_freedom)}"
             )
-    for begin in range(0, scenario.samples, _SAMPLES_PER_CALL):
-        count = min(_SAMPLES_PER_CALL, scenario.samples - begin)
+    for begin in range(0, scenario.samples, RUNS.samples_per_call):
+        count = min(RUNS.samples_per_call, scenario.samples - begin)
         noise = [r.standard_normal((count, len(sigmas))) * sigmas for r in random]
         extra = _disturbance(parts, scenario, begin, count) if scenario.pushes else None
         yield Block(begin, count, stride, np.stack(noise) if noise else None, extra, signals)

@@ -18,7 +18,10 @@ from .embedding import proved_positive_definite
 
 @dataclass(frozen=True)
 class ProofSettings:
-    """Numbers of the proofs; none of them decides what is proved, only what room rounding is given."""
+    """Numbers of the proofs.
+
+    None of them decides what is proved, only what room rounding is given, and how exact a program is solved.
+    """
 
     room: float = 1e-7  # what bounds are widened by, relative: beyond all rounding of 64-bit numbers
     # Beyond the rounding of some products of matrices of twenty rows, relative to their norms.
@@ -26,6 +29,8 @@ class ProofSettings:
     sum_rounding: float = 1e-15  # beyond the rounding of a sum of two numbers that is scaled, relative
     level: float = 1e-9  # what a diagonal that is to be above a matrix is widened by, relative
     batch: int = 4096  # matrices that are looked at together: memory
+    # Relative, of objective and forms: what is found is proved afterwards, with more room than that.
+    program_accuracy: float = 1e-4
 
 
 SETTINGS = ProofSettings()
@@ -237,8 +242,6 @@ def _branching(rows: Array, place: Any, sets: Any, trees: list[VertexTree], x: A
 
 
 # --- programs -----------------------------------------------------------------------------------------
-ACCURACY = 1e-4
-"""Relative, of objective and forms: what is found is proved afterwards, with more room than that."""
 
 
 class LMI(NamedTuple):
@@ -289,7 +292,7 @@ def _settings(clarabel: Any, decompose: bool) -> Any:
     # Programs come scaled and need few digits: without these two it takes half the time.
     settings.equilibrate_enable = settings.iterative_refinement_enable = False
     settings.chordal_decomposition_enable = decompose
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ACCURACY
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = SETTINGS.program_accuracy
     return settings
 
 

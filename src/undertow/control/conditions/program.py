@@ -71,6 +71,7 @@ class QuadraticSettings:
     # Degrees of freedom up to which P may be a full matrix. Beyond, it has a block for each axis, as gains
     # have: the search takes seconds then instead of minutes.
     max_full_dofs: int = 4
+    rounded_zero: float = 1e-100  # what outward rounding makes of zero is below it
 
     def share(self, size: int, power: float) -> float:
         """Which part of the work for matrices of 12 rows is for those of so many."""
@@ -509,7 +510,6 @@ def _beyond_rest(added: Array, switched: bool) -> Array:
 
 # --- forms that vanish ------------------------------------------------------------------------------
 Axes = tuple[int, ...]
-_NOTHING = 1e-100  # what outward rounding makes of zero is below it
 Monomial = tuple[int, int, int]
 """A velocity, and the places in z of the two states that it multiplies."""
 
@@ -536,7 +536,7 @@ def _coupled_axes(corners: Corners) -> list[Axes]:
     found = set()
     for k, end in enumerate(corners.ends):
         size = end.velocity.magnitude.max(axis=0) + end.skew.magnitude.max(axis=0)
-        found |= {tuple(sorted((k, int(i), int(j)))) for i, j in np.argwhere(size > _NOTHING)}
+        found |= {tuple(sorted((k, int(i), int(j)))) for i, j in np.argwhere(size > SETTINGS.rounded_zero)}
     return sorted(axes for axes in found if len(set(axes)) > 1)
 
 

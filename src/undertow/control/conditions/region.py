@@ -23,8 +23,6 @@ from .quadratic import QuadraticSearch
 from .result import SETTINGS, Quadratic, Region, Transient
 from .transient import bounds_in_time
 
-# Levels of V, J, below and above which a region counts as none and as everything.
-_LOWEST, _HIGHEST = 1e-30, 1e30
 _BEYOND = "beyond, it is not certain that"
 _FAILS = "the conditions derived from the model do not hold"
 _NOTHING_FOUND = (
@@ -169,10 +167,11 @@ def _damping_stays_positive(problem: Problem) -> Callable[[float], bool]:
 
 def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
     """The largest level up to `upper` that is allowed, to a hundredth; zero where hardly any is."""
-    if allowed(min(upper, _HIGHEST)):
+    lowest, highest = SETTINGS.lowest_level, min(upper, SETTINGS.highest_level)
+    if allowed(highest):
         return upper
-    low, high = np.log(_LOWEST), np.log(min(upper, _HIGHEST))
-    if not allowed(_LOWEST):
+    low, high = np.log(lowest), np.log(highest)
+    if not allowed(lowest):
         return 0.0
     while high - low > 0.01:
         middle = 0.5 * (low + high)
@@ -182,7 +181,7 @@ def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
 
 def _region_of_level(commands: Commands, level: float, ends: str) -> Region:
     problem = commands.problem
-    if level >= _HIGHEST:
+    if level >= SETTINGS.highest_level:
         return Region("everywhere", "everywhere: V falls at any speed, from any error (except half a turn)")
     reach = _starts(problem, level)
     speeds = _by_velocity(problem, _pd_speeds(problem, level))

@@ -33,6 +33,8 @@ class CertificateSettings:
     # Errors of every coordinate, m and rad, that the region of a quadratic V is searched for where none are
     # stated: from half a metre and 29 degrees down to what sensors resolve.
     default_starts: tuple[float, ...] = (0.5, 0.1, 0.02)
+    lowest_level: float = 1e-30  # level of V, J, below which a region counts as none
+    highest_level: float = 1e30  # the same above which it counts as everything
     largest_error: float = 1e4  # errors beyond it are not looked at where thrusters have limits, m
     # Error of the reported pose, m and rad, with which a loop may come to rest and still hold its set-point:
     # the accuracy of acoustic positioning and magnetic compasses.

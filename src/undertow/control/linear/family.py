@@ -22,10 +22,19 @@ from .numeric import Numeric, in_direction, motion_of
 from .systems import LinearLoop, law_for, linear_at, linear_with_delays, with_commands
 from .trim import Balance, Trim, at_parameters, find_trim
 
-CORNER = 2.0
-"""Standard deviations that a corner is away from the stated values."""
-_MOST_REFUSED = 50  # draws for each one that is a vehicle
-_STEP = 1e-3  # of finite differences, standard deviations
+
+@dataclass(frozen=True)
+class FamilySettings:
+    """How the members of a family are chosen, and how many are drawn."""
+
+    corner_distance: float = 2.0  # from the stated values, standard deviations
+    # Draws that are no vehicle, for each that is wanted, with which the family is refused.
+    most_refused_draws: int = 50
+    difference_step: float = 1e-3  # of finite differences, standard deviations
+    most_drawn: int = 120  # members of which pictures have curves, the stated vehicle included
+
+
+SETTINGS = FamilySettings()
 
 
 @dataclass(frozen=True)
@@ -112,7 +121,7 @@ def family(
     """Linear systems over the uncertainty of the parameters.
 
     First the stated vehicle, then corners (each parameter by itself, and all together in the way that slows
-    the slowest mode down most, `CORNER` standard deviations away but within physical bounds), then seeded
+    the slowest mode down most, `corner_distance` away but within physical bounds), then seeded
     draws. Each member has its own trim. With gains each is a closed loop whose law knows the stated vehicle.
 
     Parameters
@@ -155,7 +164,7 @@ def _draws(
             draws.append(member)
             continue
         refused += 1
-        if refused > _MOST_REFUSED * size:
+        if refused > SETTINGS.most_refused_draws * size:
             raise UndertowError(
                 f"hardly any draw of the parameters of '{factory.vehicle.name}' is a vehicle: the standard "
                 "deviations are too large for the values; fit them to logs, or state smaller ones"
@@ -174,12 +183,12 @@ def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterato
     for i, name in enumerate(spread.names):
         for sign, word in ((1, "+"), (-1, "-")):
             shift = np.zeros(len(sigmas))
-            shift[i] = sign * CORNER * sigmas[i]
-            yield f"{name} {word} {CORNER:g} sigma", shift
+            shift[i] = sign * SETTINGS.corner_distance * sigmas[i]
+            yield f"{name} {word} {SETTINGS.corner_distance:g} sigma", shift
     slope = _slope_of_slowest(spread, factory, stated, sigmas)
     for sign, word in ((1, "slowest"), (-1, "quickest")):
         if np.any(slope):
-            yield f"all together, {word}", sign * CORNER * sigmas * np.sign(slope)
+            yield f"all together, {word}", sign * SETTINGS.corner_distance * sigmas * np.sign(slope)
 
 
 def _slope_of_slowest(spread: Spread, factory: _MemberFactory, stated: Member, sigmas: Array) -> Array:
@@ -187,9 +196,10 @@ def _slope_of_slowest(spread: Spread, factory: _MemberFactory, stated: Member, s
     slope = np.zeros(len(sigmas))
     for i in range(len(sigmas)):
         small = np.zeros(len(sigmas))
-        small[i] = _STEP * sigmas[i]
+        small[i] = SETTINGS.difference_step * sigmas[i]
         member = factory.member("", small, spread.names)
-        slope[i] = 0.0 if member is None else (_slowest(member) - _slowest(stated)) / _STEP
+        if member is not None:
+            slope[i] = (_slowest(member) - _slowest(stated)) / SETTINGS.difference_step
     return slope
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,22 @@ from .analysis import (
 )
 from .report import Analysis, Channel
 
-# Ratio of the largest to the smallest pole from which axes are logarithmic.
-_SPREAD = 100.0
-# Damping ratio of a pole below which frequencies around it are added.
-_SHARP = 0.3
-# Relative difference of curves in dB, and of those of disks, that look like one: the width of a line; and
-# the line styles of the first, second and further ones.
-_DECIBEL, _DISK = 0.12, 0.012
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """How poles and curves are drawn."""
+
+    # Ratio of the largest to the smallest pole from which axes are logarithmic.
+    logarithmic_ratio: float = 100.0
+    # Damping ratio of a pole below which frequencies around it are added.
+    light_damping: float = 0.3
+    # Relative difference of curves that look like one, in dB, and of those of disks: the width of a line.
+    same_response: float = 0.12
+    same_disk: float = 0.012
+
+
+SETTINGS = PictureSettings()
+# Line styles of the first, second and further one of curves that look like one.
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 4)), (0, (2, 6)))
 
 
@@ -118,12 +128,12 @@ def _with_resonances(systems: Sequence[Any]) -> Array:
     """Frequencies, rad/s, closer together around poles of little damping, where a curve turns quickly."""
     omega = frequencies(list(systems))
     rates = np.array([m.rate for s in systems for m in modes(s) if np.isfinite(m.rate)])
-    sharp = rates[np.abs(rates.real) < _SHARP * np.abs(rates)]
+    sharp = rates[np.abs(rates.real) < SETTINGS.light_damping * np.abs(rates)]
     near = (np.abs(sharp.imag)[:, None] + np.abs(sharp.real)[:, None] * np.linspace(-6, 6, 61)).ravel()
     return np.union1d(omega, near[(near > omega[0]) & (near < omega[-1])])
 
 
-def _styles(curves: Sequence[Any], tolerance: float = _DECIBEL) -> list[Any]:
+def _styles(curves: Sequence[Any], tolerance: float = SETTINGS.same_response) -> list[Any]:
     """Line styles: dashes for a curve that lies on others everywhere, so that these are seen between them."""
     with np.errstate(divide="ignore", invalid="ignore"):
         covered = [
@@ -207,7 +217,7 @@ def _disk_margins(found: Analysis, channels: Sequence[Channel]) -> Figure:
     shown, axes = figure(4.6)
     axis = axes[0, 0]
     curves = [disks(response(force, system, omega).y) for force, system in systems.items()]
-    drawn = zip(_colours(len(systems)), _styles(curves, _DISK), systems, curves, strict=True)
+    drawn = zip(_colours(len(systems)), _styles(curves, SETTINGS.same_disk), systems, curves, strict=True)
     for colour, style, force, values in drawn:
         m = loop.margins[force]
         words = f"least {m.disk:.2f}" if m.stable else "unstable: no margin"
@@ -271,7 +281,7 @@ def _poles(found: Analysis, channels: Sequence[Channel]) -> Figure:
     if not found.dt:
         # Logarithmic axes, linear around zero, where poles are of very different size.
         sizes = np.abs(own[np.abs(own) > 0])
-        if sizes.size and sizes.max() > _SPREAD * sizes.min():
+        if sizes.size and sizes.max() > SETTINGS.logarithmic_ratio * sizes.min():
             least = 10.0 ** np.floor(np.log10(float(sizes.min())))
             axis.set_xscale("symlog", linthresh=least)
             axis.set_yscale("symlog", linthresh=least)

@@ -36,12 +36,11 @@ from .analysis import (
     observability,
     zeros_of,
 )
+from .family import SETTINGS as FAMILY
 from .family import Family, family
 from .numeric import Numeric, reversing
 from .systems import LinearLoop, close_loop, forces_of, linearize, named, with_forces
 from .trim import Trim, find_trim
-
-_MOST_DRAWN = 120
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,7 @@ class Analysis:
 
     def members_of(self, source: str, output: str | None) -> list[ct.StateSpace]:
         """The same channel of the members of the family; without an output the loop of a force."""
-        members = self.family.members[1:_MOST_DRAWN] if self.family else ()
+        members = self.family.members[1 : FAMILY.most_drawn] if self.family else ()
         if output is None:
             return [m.loop.single_loop(source) for m in members if m.loop]
         systems = [m.system if m.loop else self._add_force_inputs(m.system) for m in members]

@@ -22,7 +22,6 @@ from .numeric import Numeric, in_direction, reversing, with_ideal_thrust
 _HOVER = {"u": 0.0, "v": 0.0, "w": 0.0, "r": 0.0}
 _FREE = ("u", "v", "w", "r", "z")
 _POSITION = ("x", "y")
-_FARTHEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def _check(name: str, value: float) -> None:
         raise UndertowError(f"{name} cannot be held: a steady motion is the same everywhere; leave it out")
     if not isfinite(value):
         raise UndertowError(f"{name} = {value} is not a value of a steady motion: give a finite one")
-    most = FASTEST if name in VELOCITY else _FARTHEST
+    most = FASTEST if name in VELOCITY else SETTINGS.farthest
     if abs(value) > most:
         raise UndertowError(f"{name} = {value:g} (SI) is too large for a steady motion: stay within {most:g}")
 
@@ -83,6 +82,7 @@ class TrimSettings:
     negligible: float = 5e-3
     # Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
     steady: float = 1e-7
+    farthest: float = 1e6  # largest value that is held, of all but velocities, SI
     at_rest: float = 1e-9  # speed through the water, m/s, and turning rate, rad/s, that are rounding
 
 
