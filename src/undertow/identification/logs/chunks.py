@@ -43,9 +43,16 @@ from .table import (
     with_even_times,
 )
 
-# Bytes from which the length of a line is estimated; most rows that an excerpt skips between two (`every`).
-_SAMPLE_BYTES = 1 << 18
-_MOST_SKIPPED = 100
+
+@dataclass(frozen=True)
+class ExcerptSettings:
+    """How much of a file is read to estimate its size, and for an excerpt."""
+
+    line_sample: int = 1 << 18  # bytes from which the length of a line is estimated
+    most_skipped_rows: int = 100  # between two rows of an excerpt (`every`)
+
+
+EXCERPTS = ExcerptSettings()
 
 
 class NeedsWhole(UndertowError):
@@ -142,7 +149,7 @@ class LongLog:
             rows, kinds = parquet_size(self.path, self._where)
             return rows, len(kinds)
         with _opened(self.path, self._where, packed=is_gzip(begin)) as file:
-            text = file.read(_SAMPLE_BYTES)
+            text = file.read(EXCERPTS.line_sample)
         if b"\0" in text:
             raise UndertowError(f"{self._where} is not text: give a CSV, CSV.gz or Parquet file")
         lines = text.split(b"\n")
@@ -176,7 +183,7 @@ class LongLog:
 
     def excerpts(self, count: int, rows: int) -> Iterator[Run]:
         """Some rows from several places along the log; those that cannot be read are left out."""
-        rows *= min(self.mapping.time.every, _MOST_SKIPPED)
+        rows *= min(self.mapping.time.every, EXCERPTS.most_skipped_rows)
         for table in self._excerpt_tables(count, rows):
             try:
                 origin = self._origin(table)

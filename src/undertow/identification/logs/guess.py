@@ -35,7 +35,7 @@ from .guess_frames import (
     unnamed_quaternion,
 )
 from .guess_names import (
-    NO_FIT,
+    DISTANCES,
     RATES,
     WANTED,
     Name,
@@ -70,6 +70,7 @@ class GuessSettings:
     beyond: float = 1.5  # largest normalised command that may be one of the thruster's curve
     pulse: tuple[float, float] = (900.0, 2100.0)  # widths that servos and speed controllers take, us
     above: float = 0.3  # above the surface by this, m, no vehicle in water is for half of its log
+    named_flags: int = 6  # that a question names
     full: float = 1.2  # a command within this is a share of its largest, and its unit needs no question
 
 
@@ -225,9 +226,9 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
 
 def _on_flags(flags: Iterable[str]) -> list[str]:
     """Ask what columns of 0 and 1 are, if there are any."""
-    names = [f"'{flag}'" for flag in flags]
-    more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
-    return [_FLAG.format(", ".join(names[:_NAMED] + more))] if names else []
+    names, most = [f"'{flag}'" for flag in flags], SETTINGS.named_flags
+    more = [f"{len(names) - most} more"] if len(names) > most else []
+    return [_FLAG.format(", ".join(names[:most] + more))] if names else []
 
 
 _WRENCH = (
@@ -242,7 +243,6 @@ _BLANK = (
     "commands without a value in some rows ({}) keep their previous value, by missing_commands = "
     '"hold" above: do they?'
 )
-_NAMED = 6  # flags that are named in a question
 _FLAG = (
     "{} 0 or 1: does it flag the values of a sensor that are new, or valid? Then give the columns of that "
     "sensor fresh = its name"
@@ -384,7 +384,7 @@ def _commands(names: Sequence[Name], vehicle: Vehicle | None, dead: set[str]) ->
             (*(n.senses(command, unit) if command in vehicle.inputs else n.fits(command, unit, axes)), k)
             for k, n in enumerate(known)
         )
-        if fits and fits[0][0] < NO_FIT:
+        if fits and fits[0][0] < DISTANCES.no_fit:
             found[command] = known[fits[0][2]]
     if found.keys().isdisjoint(vehicle.actuator_names):
         found |= _by_number(names, vehicle.actuator_names)
@@ -397,7 +397,7 @@ def _is_called_like_a_command(name: Name, names: Sequence[Name], vehicle: Vehicl
     if vehicle is None or called not in map(str.lower, vehicle.actuator_names):
         return False
     axes = _axes(vehicle)
-    return not any(n != name and n.is_command and n.drives(called, axes) < NO_FIT for n in names)
+    return not any(n != name and n.is_command and n.drives(called, axes) < DISTANCES.no_fit for n in names)
 
 
 def _axes(vehicle: Vehicle) -> dict[str, str]:

@@ -118,7 +118,17 @@ _COUNTS = {
     "pwm": "command", "%": "command", "us": "command",
 }  # fmt: skip
 _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "n": "rev/s", "angle": "rad", "throttle": "command"}
-_BY_UNIT, NO_FIT = 2.9, 9.0
+
+
+@dataclass(frozen=True)
+class DistanceSettings:
+    """Distances of the name of a column from that of a command: 0 the same name, 1 the same words."""
+
+    by_unit: float = 2.9  # only the unit is that of the command: just before a name that begins alike
+    no_fit: float = 9.0  # the column is none of the command
+
+
+DISTANCES = DistanceSettings()
 # Units of clocks. As the last word of another name some of them mean something else: the least, a height.
 _OF_CLOCKS = {
     "second": "s", "seconds": "s", "secs": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms",
@@ -316,8 +326,8 @@ class Name:
         """Distance of a column from a command of a vehicle, by name and quantity; the smallest is chosen."""
         wanted = _COUNTS.get(unit, unit)
         name = self.drives(command, axes)
-        if name == NO_FIT and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
-            name = _BY_UNIT
+        if name == DISTANCES.no_fit and wanted == "rev/s" and _COUNTS.get(self.unit) == wanted:
+            name = DISTANCES.by_unit
         return name, 0 if self.counts == wanted else 2 if self.counts else 1
 
     def senses(self, quantity: str, unit: str) -> tuple[float, int]:
@@ -329,7 +339,7 @@ class Name:
         apparent = "apparent" in wanted or not {"apparent", *_SENSED["apparent"]} & words
         dimension = next((d for d in (_LENGTHS, _ANGLES, _SPEEDS, {"V"}, {"N"}) if unit in d), {unit})
         fits = there and apparent and self.unit in {"", *dimension}
-        return 2.0 if fits else NO_FIT, len(words)
+        return 2.0 if fits else DISTANCES.no_fit, len(words)
 
     @property
     def is_pumped_volume(self) -> bool:
@@ -362,17 +372,17 @@ class Name:
         if self.column.lower() == command.lower():
             return 0.0
         if self.unit in {*_NO_COMMANDS, *_OTHERS.values()}:
-            return NO_FIT
+            return DISTANCES.no_fit
         if set(wanted) <= set(self.words):
             return 1.0
         if self.force and command in axes:
             both = "tau" in wanted and "tau" in self.words
-            return NO_FIT if self.force != axes[command] else 1.0 if both else 2.0
+            return DISTANCES.no_fit if self.force != axes[command] else 1.0 if both else 2.0
         known = [k for k, other in enumerate(also) if other in self.words]
         if known:
             return 2.0 + 0.1 * known[0]
         alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
-        return 3.0 if alike else NO_FIT
+        return 3.0 if alike else DISTANCES.no_fit
 
     def is_surely(self, command: str, axes: Mapping[str, str]) -> bool:
         """Whether a name is that of a command, with at most one word of another meaning."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +13,19 @@ from .guess_clock import are_degrees
 from .guess_frames import least_unexplained_shares, place_of
 from .guess_names import Name, latitude_and_longitude
 
-_POLAR = 72.0  # latitude, degrees, beyond which few vehicles are
-# Two places contradict each other if farther apart than this share of the way, and than fixes scatter, m.
-_APART, _SCATTER = 0.2, 10.0
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """Settings for telling latitude from longitude, and whether two places are the same."""
+
+    polar_latitude: float = 72.0  # degrees, beyond which few vehicles are
+    # Two places contradict each other if they are farther apart than this share of the way, and than fixes
+    # scatter, m.
+    least_separation_share: float = 0.2
+    scatter_of_fixes: float = 10.0
+
+
+SETTINGS = PlaceSettings()
 
 
 def fixes_in(
@@ -43,7 +54,7 @@ def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: A
     def unlikely(globe: tuple[str, str]) -> tuple[float, bool]:
         place = {c: values for c, (_, values) in place_of(*((n, data[n]) for n in globe)).items()}
         shares = [least_unexplained_shares(t, {**known, **place, "psi": psi}) for psi in turns if place]
-        polar = float(np.nanmax(np.abs(data[globe[0]]))) > _POLAR
+        polar = float(np.nanmax(np.abs(data[globe[0]]))) > SETTINGS.polar_latitude
         return min((share for one in shares for share in one.values()), default=np.inf), polar
 
     return min(((y, x), (x, y)), key=unlikely)
@@ -60,7 +71,7 @@ def two_places(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[
     # How far it is from the first, for the axes of x and y may be any.
     x, y, north, east = (values[there] - values[there][0] for values in places)
     far = np.hypot(x, y), np.hypot(north, east)
-    least = max(_SCATTER, _APART * float(np.max(far)))
+    least = max(SETTINGS.scatter_of_fixes, SETTINGS.least_separation_share * float(np.max(far)))
     if float(np.quantile(np.abs(far[0] - far[1]), 0.9)) < least:
         return []
     sizes = f"up to {np.max(far[0]):.3g} m, {' and '.join(globe)} up to {np.max(far[1]):.3g} m"

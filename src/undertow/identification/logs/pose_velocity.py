@@ -18,10 +18,6 @@ from .mapping import to_body
 from .run import SERIES, UNITS, Run, with_reports
 
 ORDER = 3  # position, velocity, acceleration
-# Samples at the start of a lane that depend more on `diffuse` than on the ratio.
-_BURN_IN = 2 * ORDER
-# Decades of ratio that are searched. Above the last the noise is negligible beside the motion of one step.
-_GRID = np.arange(-13.0, 4.0)
 
 
 @dataclass(frozen=True)
@@ -30,6 +26,12 @@ class SmootherSettings:
 
     # Variance of the state before the first sample, in squared standard deviations of the noise.
     diffuse: float = 1e10
+    # Samples at the start of a lane that depend more on `diffuse` than on the ratio.
+    burn_in: int = 2 * ORDER
+    # Decades of ratio that are searched. Above the last the noise is negligible beside the motion of one
+    # step.
+    lowest_decade: float = -13.0
+    highest_decade: float = 3.0
     # Share by which every predicted variance is raised: more than the rounding errors where one wide step
     # after a diffuse start leaves all three variances in one direction, and little beside the noise.
     rounding: float = 1e-14
@@ -163,12 +165,13 @@ def _jump_statistics(before: States, smoothed: States) -> Array:
 
 def most_likely_ratio(lanes: Lanes) -> tuple[float, float]:
     """Return the ratio most likely for lanes of one signal, and the noise variance that goes with it."""
-    coarse = _profile(lanes, _GRID)
-    best = _GRID[np.argmin(coarse[0])]
+    decades = np.arange(SETTINGS.lowest_decade, SETTINGS.highest_decade + 1.0)
+    coarse = _profile(lanes, decades)
+    best = decades[np.argmin(coarse[0])]
     fine = np.linspace(best - 1.0, best + 1.0, 17)
-    cost, variance = _profile(lanes, np.minimum(fine, _GRID[-1]))
+    cost, variance = _profile(lanes, np.minimum(fine, SETTINGS.highest_decade))
     at = int(np.argmin(cost))
-    return float(10.0 ** min(fine[at], _GRID[-1])), float(variance[at])
+    return float(10.0 ** min(fine[at], SETTINGS.highest_decade)), float(variance[at])
 
 
 def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
@@ -177,7 +180,7 @@ def _profile(lanes: Lanes, decades: Array) -> tuple[Array, Array]:
     tiled = Lanes(np.tile(lanes.y, grid), np.tile(lanes.step, grid), np.tile(lanes.jump, grid))
     filtered = _filter(tiled, np.repeat(10.0**decades, count))
     seen = np.cumsum(np.isfinite(tiled.y), axis=0)
-    use = np.isfinite(tiled.y) & (seen > _BURN_IN)
+    use = np.isfinite(tiled.y) & (seen > SETTINGS.burn_in)
     new = use & (np.diff(tiled.y, axis=0, prepend=np.nan) != 0.0)
     if SETTINGS.fewest * grid <= np.sum(new) < np.sum(use) / 2:  # few digits, mostly at rest: where it is new
         use = new

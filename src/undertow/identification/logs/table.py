@@ -181,20 +181,17 @@ _PACKED = {
 _SPREADSHEET = (b"xl/workbook.", b"application/vnd.oasis.opendocument.spreadsheet")
 DAMAGED = (OSError, EOFError, zlib.error)
 """What reading a damaged gzip file raises, whole or in parts."""
-_PIECE_BYTES = 1 << 20
 # Decimals of an exact time: nanoseconds of seconds since 1970, with digits to spare before the point.
 _EXACT = pl.Decimal(38, 9)
 _ROW = "number of the row"
 _DAY = 86_400.0  # s
 Frame = TypeVar("Frame", pl.DataFrame, pl.LazyFrame)
-# Times beyond three years, in s, are dates counted from some epoch, and are counted from the first sample.
-_EPOCH = 1e8
 Origin = Decimal | float
 
 
 @dataclass(frozen=True)
 class LogLimits:
-    """Limits on the size of a log."""
+    """Limits on the size of a log, and on the times of its own clock."""
 
     # Bytes of text, unpacked, that are held at once. A day at 20 Hz with 20 columns has 350 MB.
     text: int = 500_000_000
@@ -202,6 +199,9 @@ class LogLimits:
     cells: int = 50_000_000
     columns: int = 5_000  # columns
     line: int = 1_000_000  # bytes of one line
+    piece: int = 1 << 20  # bytes that are unpacked, or searched for a header, at a time
+    # Times beyond it, three years in s, are dates counted from some epoch, and count from the first sample.
+    own_clock: float = 1e8
     # Rows that the operation on the log can take, blank ones and comments included.
     rows: int | None = None
 
@@ -404,7 +404,7 @@ def _refuse_packed(text: bytes, where: str) -> None:
 def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
     """The cells of the line after a header."""
     begin = text.find(header) + len(header)
-    line = header_of(text[begin : begin + _PIECE_BYTES], mapping).decode(errors="replace")
+    line = header_of(text[begin : begin + WHOLE.piece], mapping).decode(errors="replace")
     return next(csv.reader([line], delimiter=mapping.delimiter), [])
 
 
@@ -461,7 +461,7 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
     size = rows = columns = 0
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
-            while piece := stream.read(_PIECE_BYTES):
+            while piece := stream.read(WHOLE.piece):
                 pieces.append(piece)
                 size, rows = size + len(piece), rows + piece.count(b"\n")
                 columns = columns or columns_of(header_of(piece, mapping), mapping)
@@ -589,7 +589,7 @@ def elapsed(
     # to 256 only.
     name = mapping.time.column
     raw = numbers(table, name, mapping, where)
-    if origin is None and not (len(raw) and abs(scale * raw[0]) > _EPOCH):
+    if origin is None and not (len(raw) and abs(scale * raw[0]) > WHOLE.own_clock):
         origin = 0.0
     exact = _as_decimals(table[name], mapping) if origin != 0.0 else None
     if origin is None:

@@ -11,7 +11,7 @@ import polars as pl
 from undertow.errors import UndertowError
 from undertow.identification.logs.guess import SETTINGS, guess_table, in_axes, no_column, without_motion
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
-from undertow.identification.logs.guess_names import NO_FIT, Name, rows_by_number, with_axes
+from undertow.identification.logs.guess_names import DISTANCES, Name, rows_by_number, with_axes
 from undertow.identification.logs.mapping import Channel, Column, Frames, LogMapping
 from undertow.identification.logs.run import FORCES, MEASURED, UNITS
 from undertow.model.catalogue import catalogue, logged_quantities
@@ -125,7 +125,7 @@ def _possible_velocities(log: FieldLog, known: Set[str], vehicle: Vehicle | None
 
 def _may_be_command(column: str, commands: Sequence[str]) -> bool:
     name = Name.of(column)
-    return name.is_command or any(name.drives(command, {}) < NO_FIT for command in commands)
+    return name.is_command or any(name.drives(command, {}) < DISTANCES.no_fit for command in commands)
 
 
 def _as_guesses(known: Mapping[str, Column] | Mapping[str, Channel]) -> list[Guess]:

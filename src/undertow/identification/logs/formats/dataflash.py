@@ -46,11 +46,20 @@ if TYPE_CHECKING:
 
 Bytes = NDArray[np.uint8]
 
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """How much of a file is held and searched at once, bytes."""
+
+    searched: int = 1 << 20  # for heads at a time: they stay in the cache of a processor
+    mapped_size: int = 1 << 28  # size from which on a file is mapped instead of read
+
+
+RECORDS = RecordSettings()
+
 # --- records --------------------------------------------------------------------------------------
 HEAD = (0xA3, 0x95)
 FMT, _LENGTH = 0x80, 89
-_PART = 1 << 20  # bytes that are searched for heads at a time: they stay in the cache of a processor
-_MAPPED = 1 << 28  # bytes from which on a file is mapped instead of read
 # What the letters of a format mean: type of the cell, and what its number is divided by.
 _CELLS = {
     "a": "V64", "b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4",
@@ -176,8 +185,8 @@ def _add_kind(found: dict[int, _Kind], record: bytes) -> None:
 def _heads(data: Bytes, lengths: NDArray[np.int64]) -> Index:
     """Places that look like the begin of a message of a known type."""
     found = [np.zeros(0, dtype=np.intp)]
-    for first in range(0, len(data) - 2, _PART):
-        part = data[first : first + _PART + 2]
+    for first in range(0, len(data) - 2, RECORDS.searched):
+        part = data[first : first + RECORDS.searched + 2]
         at = np.flatnonzero(part[:-2] == HEAD[0])
         at = at[part[at + 1] == HEAD[1]]
         found.append(at[lengths[part[at + 2]] > 0] + first)
@@ -232,7 +241,7 @@ class Records:
 
 
 def open_records(path: Path) -> Records:
-    if path.stat().st_size < _MAPPED:  # a file that is mapped must not be replaced meanwhile
+    if path.stat().st_size < RECORDS.mapped_size:  # a file that is mapped must not be replaced meanwhile
         data = np.fromfile(path, dtype=np.uint8)
     else:
         data = np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))

@@ -41,8 +41,6 @@ from .fieldlog import FieldLog, Format, Series, library
 # a topic: phi, theta, psi beside every quaternion (rad), and bottom.x … or water.x … of a Doppler log, by
 # what it tracked.
 
-# Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
-_LEAST_PRESSURE = 50_000.0
 Kind = Literal["pose", "plane", "attitude", "twist", "rates", "velocity"]
 _AXES = ("x", "y", "z")
 _DOWN, _UP = ("ned", "frd"), ("enu", "flu")  # words in the names of frames
@@ -358,8 +356,8 @@ def _take_depth(known: _Interpretation, topic: Topic, frames: Frames) -> None:
     if "z" in known.columns:
         return
     usual = float(np.nanmedian(topic.series.columns["fluid_pressure"]))
-    pascal = 1.0 if usual > _LEAST_PRESSURE else 100.0
-    if usual * pascal < _LEAST_PRESSURE:
+    pascal = 1.0 if usual > SETTINGS.least_pressure else 100.0
+    if usual * pascal < SETTINGS.least_pressure:
         known.notes.append(
             f"{topic.series.name}: a pressure of {usual:.3g} is neither Pa nor hPa in air or water, so it "
             "gives no depth: column fluid_pressure can be z in a mapping file"
@@ -422,7 +420,7 @@ _WHAT = "a log of ROS"
 
 @dataclass(frozen=True)
 class RosSettings:
-    """Limits on the messages of a bag that are read."""
+    """Limits on the messages of a bag that are read, and on what they carry."""
 
     # Elements of a list that become columns, at most: commands and beams, but no covariances of six by six.
     longest: int = 16
@@ -431,6 +429,8 @@ class RosSettings:
     apart: float = 10.0
     kept: int = 400_000_000  # bytes of messages that are held at once
     together: int = 10_000  # messages that are decoded at once: an object takes ten times its bytes
+    # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
+    least_pressure: float = 50_000.0
 
 
 SETTINGS = RosSettings()

@@ -48,7 +48,20 @@ _STAMP = 8  # bytes of the time before every message, microseconds since 1970
 # First byte of a message of MAVLink 1 and 2; bytes of its head, and where the system stands in it.
 _HEADS = {0xFE: (6, 3), 0xFD: (10, 5)}
 _CHECKSUM, _SIGNATURE = 2, 13
-_WHOLE_YEARS = (946684800e6, 4102444800e6)  # microseconds: from 2000 to 2100
+
+
+@dataclass(frozen=True)
+class TelemetrySettings:
+    """Which times of telemetry are believed, and when its commands are too few."""
+
+    # Times of arrival that are believed, microseconds since 1970: from 2000 to 2100.
+    arrivals: tuple[float, float] = (946684800e6, 4102444800e6)
+    restart: float = 2.0  # s by which the vehicle's clock falls back when it boots anew
+    largest_delay: float = 10.0  # s by which a time of the vehicle may differ from that of arrival
+    slow_commands: float = 5.0  # messages a second below which commands between them are worth a word
+
+
+TELEMETRY = TelemetrySettings()
 
 
 @dataclass(frozen=True)
@@ -114,7 +127,8 @@ def _ends(data: bytes, place: int) -> tuple[int, int] | None:
     stamp = int.from_bytes(data[place:begin], "big")
     if begin + 10 > len(data) or data[begin] not in _HEADS:
         return None
-    if not _WHOLE_YEARS[0] <= stamp <= _WHOLE_YEARS[1]:
+    earliest, latest = TELEMETRY.arrivals
+    if not earliest <= stamp <= latest:
         return None
     size = _HEADS[data[begin]][0]
     last = begin + size + data[begin + 1]
@@ -216,9 +230,7 @@ def _autopilot(frames: Iterable[_Frame], mavlink: ModuleType) -> tuple[tuple[int
 
 
 # --- clock ----------------------------------------------------------------------------------------
-_REBOOT = 2.0  # s by which the vehicle's clock falls back when it boots anew
 _TURN = 2**32 * 1e-6  # s after which a counter of microseconds in 32 bits begins anew
-_NEAR = 10.0  # s by which a time of the vehicle may differ from that of arrival
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +251,7 @@ class _Clock:
                 own = own + _TURN * np.round((messages.stamps - own) / _TURN)
         else:
             return messages.stamps
-        return np.where(np.abs(own - messages.stamps) <= _NEAR, own, messages.stamps)
+        return np.where(np.abs(own - messages.stamps) <= TELEMETRY.largest_delay, own, messages.stamps)
 
 
 def _clock(messages: Mapping[str, _Messages]) -> _Clock:
@@ -254,7 +266,7 @@ def _clock(messages: Mapping[str, _Messages]) -> _Clock:
     # A clock that is set back begins anew; single messages may be late.
     middle = np.array([np.median(part) for part in np.array_split(since, max(len(since) // 50, 1))])
     starts = np.array_split(stamps, len(middle))
-    fresh = np.concatenate([[True], np.abs(np.diff(middle)) > _REBOOT])
+    fresh = np.concatenate([[True], np.abs(np.diff(middle)) > TELEMETRY.restart])
     begins = np.array([part[0] for part in starts])[fresh]
     groups = np.split(middle, np.flatnonzero(fresh)[1:])
     return _Clock(begins, np.array([np.median(group) for group in groups]))
@@ -323,13 +335,10 @@ def _servos(series: Mapping[str, Series]) -> list[str]:
     return [n for n in ("SERVO_OUTPUT_RAW[0]", "SERVO_OUTPUT_RAW") if n in series][:1]
 
 
-_SLOW = 5.0  # messages a second below which commands between them are worth a word
-
-
 def _pace(series: Mapping[str, Series], driven: bool) -> list[str]:
     t = next((series[name].t for name in _servos(series) if driven), np.zeros(0))
     t = t[rising(t)]
-    if len(t) < 2 or (pace := 1.0 / float(np.median(np.diff(t)))) >= _SLOW:
+    if len(t) < 2 or (pace := 1.0 / float(np.median(np.diff(t)))) >= TELEMETRY.slow_commands:
         return []
     return [
         f"only {pace:.2g} commands a second were logged: the log on the autopilot (.bin) has more, or "
