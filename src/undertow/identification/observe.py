@@ -46,6 +46,7 @@ class ObserveSettings:
     # honest one rejects one in a million, and outliers are rarer than this.
     lost: float = 0.1
     hour: float = 3600.0
+    averaged_reports: int = 50  # normalised squared innovations of which the picture shows the mean
 
 
 SETTINGS = ObserveSettings()
@@ -415,9 +416,6 @@ def observer_file(
     return tomlkit.dumps(document)
 
 
-_NIS_WINDOW = 50
-
-
 def observed_picture(found: Observed, run: Run) -> Figure:
     """Every pose and velocity with a band of two standard deviations and its reports, then the NIS over time.
 
@@ -465,7 +463,7 @@ def _nis_panel(axis: Any, found: Observed) -> None:
     used = found.filtered.used
     square = (found.filtered.innovation**2 / found.filtered.variance)[used]
     t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
-    k = min(_NIS_WINDOW, max(len(square) // 4, 1))
+    k = min(SETTINGS.averaged_reports, max(len(square) // 4, 1))
     low, high = chi2.ppf([0.025, 0.975], k) / k
     mean = np.convolve(square, np.full(k, 1 / k), "valid")
     axis.plot(t[k - 1 :], mean, color=INK, lw=0.8, label=f"NIS, mean of {k} reports")

@@ -257,7 +257,7 @@ class ReadOptions:
         long = [*work, *validation]
         most = budget.whole
         if not to_fit:
-            most = choosing.WHOLE_CELLS // (1 + 2 * len(model.dof_indices) + len(model.command_names))
+            most = choosing.CUTTING.whole_cells // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
                 _print_notes({str(log.path): log.reader_notes for log in long})

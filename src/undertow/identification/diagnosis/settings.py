@@ -18,8 +18,17 @@ _NO_LIMIT = 10**6
 _LEVEL = "usual level of a test"
 _TIME = "saves time; chosen on the development cases"
 _DEVELOPMENT = "chosen on the development cases; no ablation yet"
-# Limits of `false_alarm_rate`: the least that 1000 draws can show, and what would make a name worthless.
-_LEAST_RATE, _MOST_RATE = 0.005, 0.2
+
+
+@dataclass(frozen=True)
+class RateLimits:
+    """Limits of `false_alarm_rate`."""
+
+    least: float = 0.005  # that 1000 draws can show
+    most: float = 0.2  # a larger one would make a name worthless
+
+
+_RATES = RateLimits()
 
 
 class Threshold(NamedTuple):
@@ -418,10 +427,10 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
-        if not _LEAST_RATE <= self.false_alarm_rate <= _MOST_RATE:
+        if not _RATES.least <= self.false_alarm_rate <= _RATES.most:
             raise UndertowError(
                 f"false alarm rate {self.false_alarm_rate:g} is out of range: choose one between "
-                f"{_LEAST_RATE:g} and {_MOST_RATE:g} (0.01 by default)"
+                f"{_RATES.least:g} and {_RATES.most:g} (0.01 by default)"
             )
         if not 0.0 <= self.worth < 1.0:
             raise UndertowError(

@@ -483,9 +483,15 @@ def _separated_by(moved: list[str]) -> str:
     )
 
 
-_SHOWN_OTHERS = 2
-# Relative distance up to which a value is on its bound.
-_ON_BOUND = 1e-6
+@dataclass(frozen=True)
+class WarningSettings:
+    """What warnings say of a parameter that has moved."""
+
+    named_others: int = 2  # effects beside the best that bring it back
+    on_bound: float = 1e-6  # relative distance up to which a value is on its bound
+
+
+_WARNINGS = WarningSettings()
 
 
 @dataclass(frozen=True)
@@ -576,7 +582,7 @@ def _far_by_factor(value: float, stated: float, factor: float) -> bool:
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
     """The physical bound that a value lies on or beyond, or None."""
     low, high = vehicle.declaration(name).bounds
-    slack = _ON_BOUND * max(abs(vehicle.value_of(name).value), abs(value))
+    slack = _WARNINGS.on_bound * max(abs(vehicle.value_of(name).value), abs(value))
     return low if value <= low + slack else high if value >= high - slack else None
 
 
@@ -591,7 +597,9 @@ def _warning(
         missing = " or ".join(alike) or "something that is missing"
         return f"{line}: either the prior is wrong, or it compensates for {missing}"
     best, after = restoring[0].name, restoring[0].values[shifted.name]
-    others = [h.name for h in restoring[1:] if not {*restoring[0].effects} & {*h.effects}][:_SHOWN_OTHERS]
+    others = [h.name for h in restoring[1:] if not {*restoring[0].effects} & {*h.effects}][
+        : _WARNINGS.named_others
+    ]
     back = (
         f"{after / shifted.prior:.3g} times its prior"
         if shifted.prior

@@ -51,6 +51,7 @@ class SamplingSettings:
     # Noise that no sensor is below, in the unit of its channel: a tenth of that of the best tracking systems
     # (10^-4 m, 10^-5 rad), Doppler logs (10^-4 m/s) and fibre-optic gyros (10^-6 rad/s).
     least_noise: tuple[tuple[str, float], ...] = (("m", 1e-5), ("rad", 1e-6), ("m/s", 1e-5), ("rad/s", 1e-7))
+    line_bins: int = 5  # bins of the spectrum that a line takes up, through a Hann window
     spectrum_samples: int = 256  # samples of a segment whose spectrum is taken
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     cut_off_slope: float = 0.7
@@ -459,19 +460,17 @@ class _Motion:
         longest = max(map(len, self.parts))
         spectra = [np.abs(np.fft.rfft(_windowed(part), longest)) ** 2 for part in self.parts]
         power = np.sum(spectra, axis=0)
-        lines = np.convolve(power, np.ones(_LINE), mode="valid")
-        first, bins = int(np.argmax(lines)), np.arange(_LINE)
+        width = SETTINGS.line_bins
+        lines = np.convolve(power, np.ones(width), mode="valid")
+        first, bins = int(np.argmax(lines)), np.arange(width)
         only = first >= SETTINGS.periods and lines[first] > SETTINGS.periodic * np.sum(power)
-        return longest / (first + bins @ power[first : first + _LINE] / lines[first]) if only else None
+        return longest / (first + bins @ power[first : first + width] / lines[first]) if only else None
 
     @property
     def reversals(self) -> int:
         """Changes of direction, of speeds that stand out only."""
         fast = (part[np.abs(part) > self.threshold] for part in self.parts)
         return sum(int(np.sum(np.diff(np.sign(part)) != 0)) for part in fast)
-
-
-_LINE = 5  # bins of the spectrum that a line takes up, through a Hann window
 
 
 def _windowed(part: Array) -> Array:

@@ -50,6 +50,7 @@ class StartSettings:
     least_fall: float = 1e-3  # of the sum of squares, as a share of the first one, with which the search ends
     # Parameters whose starts are kept: one set, and a step up and down in each that acts before a window.
     kept: int = 24
+    diverged: float = 1e300  # sum of squares of a start from which the simulation diverges
 
 
 SETTINGS = StartSettings()
@@ -200,9 +201,6 @@ def _noise(windows: Windows) -> Array:
 
 
 # --- the state at the beginning, by how the log goes on -------------------------------------------
-_DIVERGED = 1e300
-
-
 class LinearisedStarts(NamedTuple):
     """Reports linearised in the starts, these in units of their prior, (b, m, k c), and the inverse of the
     information on them, (b, m, m); zero where a simulation diverged.
@@ -243,7 +241,7 @@ class StartProblem:
             trials = moved[:, None] + np.array(SETTINGS.shares)[:, None] * step[:, None]
             with np.errstate(over="ignore"):
                 cost = np.sum(self._residual(trials) ** 2, axis=2) + np.sum(trials**2, axis=2)
-            cost = np.nan_to_num(cost, nan=_DIVERGED, posinf=_DIVERGED)
+            cost = np.nan_to_num(cost, nan=SETTINGS.diverged, posinf=SETTINGS.diverged)
             best = np.argmin(cost, axis=1)
             moved = trials[np.arange(len(best)), best]
             falls.append(cost[:, -1] - cost[np.arange(len(best)), best])

@@ -68,7 +68,18 @@ class Supports:
 
 
 DEGREE = 3
-SAMPLES_PER_KNOT = 5
+
+
+@dataclass(frozen=True)
+class SplineSettings:
+    """How far apart the knots of test functions are, and how much of an operation is done at once."""
+
+    # Samples between two knots: a few, so that all that the sampling resolves is used.
+    samples_per_knot: int = 5
+    sides_together: int = 8  # right-hand sides that go through an operation together
+
+
+SETTINGS = SplineSettings()
 
 
 @dataclass(frozen=True)
@@ -108,7 +119,7 @@ def weights_and_equation(row: Index, n: int) -> tuple[Index, Index]:
 
 def knot_spacing(t: Array) -> float:
     """Spacing of knots for given times: a few samples, so that all that the sampling resolves is used."""
-    return float(SAMPLES_PER_KNOT * np.median(np.diff(t)))
+    return float(SETTINGS.samples_per_knot * np.median(np.diff(t)))
 
 
 def test_functions(t: Array, spacing: float) -> TestFunctions | None:
@@ -288,8 +299,6 @@ def _places(pattern: ca.Sparsity) -> tuple[Index, Index]:
     return np.array(pattern.row(), dtype=np.intp), np.array(pattern.get_col(), dtype=np.intp)
 
 
-# Right-hand sides that go through an operation together.
-_SIDE = 8
 _NAMES = ("tested", "products", "solved")
 
 
@@ -338,7 +347,8 @@ class SumsInC:
         self._call["products"](*sizes, pointer(begin), pointer(sensitivity), pointer(bands))
 
     def solved(self, factor: Array, right: Array) -> Array:
-        columns = -(-right.shape[1] // _SIDE) * _SIDE
+        together = SETTINGS.sides_together
+        columns = -(-right.shape[1] // together) * together
         found = np.zeros((len(right), columns))
         found[:, : right.shape[1]] = right
         by_column = np.ascontiguousarray(factor.T)

@@ -50,8 +50,6 @@ SEARCH = Budget(6_000, 2_000, whole=100_000)
 LOOK = Budget(20_000)
 #: An examination of logs: clocks, sensors and units, at the rate at which they were logged.
 EXAMINE = Budget(60_000, raw=True)
-#: Samples times channels of logs that are read as a whole: 300,000 rows in six degrees of freedom.
-WHOLE_CELLS = 6_300_000
 
 
 @dataclass(frozen=True)
@@ -59,6 +57,8 @@ class CuttingSettings:
     """Numbers by which long logs are read, cut and divided."""
 
     rows: int = 100_000  # in memory at a time, when a log is read
+    # Samples times channels of logs that are read as a whole: 300,000 rows in six degrees of freedom.
+    whole_cells: int = 6_300_000
     fewest_segments: int = 24  # segments that logs are cut into, however slow the vehicle
     most_segments: int = 5_000  # that are examined; of longer logs, some that are spread evenly
     segments_in_budget: int = 4  # segments that the budget has room for, at least

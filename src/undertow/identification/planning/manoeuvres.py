@@ -20,7 +20,7 @@ from undertow.typing import Array
 
 @dataclass(frozen=True)
 class ManoeuvreSettings:
-    """What manoeuvres are made of."""
+    """What manoeuvres are made of, and the noise of sensors where nothing is known of it."""
 
     levels: int = 8  # of steps
     bits: int = 24  # of random binary steps
@@ -38,11 +38,18 @@ class ManoeuvreSettings:
     # Share of half the range of a command that it may go to either side of rest; with less, its mean is the
     # middle of its range instead: a propeller that cannot reverse has nothing below rest.
     room: float = 0.05
+    harmonics: tuple[int, ...] = (1, 2, 3, 5, 8, 13)  # periods of the sines of a multisine
+    # Standard deviation by unit where nothing is known: a small vehicle with DVL, gyro and acoustic position.
+    assumed_noise: tuple[tuple[str, float], ...] = (
+        ("m", 0.02),
+        ("rad", 0.01),
+        ("m/s", 0.01),
+        ("rad/s", 0.005),
+    )
     under_way: float = 1.0  # m/s at which a command without effect at rest is examined
 
 
 SETTINGS = ManoeuvreSettings()
-_HARMONICS = np.array([1, 2, 3, 5, 8, 13])
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ def _doublet(share: Array, length: float, q: Array) -> Array:
 def _multisine(share: Array, length: float, q: Array) -> Array:
     """Sines with 1 to 13 periods, sizes and phases free, scaled to the full deflection."""
     size, phase = np.split(q, 2)
-    angle = 2 * np.pi * (share[:, None] * _HARMONICS + phase)
+    angle = 2 * np.pi * (share[:, None] * np.array(SETTINGS.harmonics) + phase)
     wave = np.sin(angle) @ (size + 1e-3)
     return np.asarray(wave / np.max(np.abs(wave)))
 
@@ -119,7 +126,7 @@ def _steady(share: Array, length: float, q: Array) -> Array:
 STEPS = Shape("steps", SETTINGS.levels, _steps)
 BINARY_STEPS = Shape("random binary steps", SETTINGS.bits, _binary_steps)
 DOUBLET = Shape("doublets (3-2-1-1)", 3, _doublet)
-MULTISINE = Shape("multisine", 2 * len(_HARMONICS), _multisine)
+MULTISINE = Shape("multisine", 2 * len(SETTINGS.harmonics), _multisine)
 CHIRP = Shape("chirp", 2, _chirp)
 REVERSAL = Shape("reversals", 3, _reversal)
 COAST = Shape("pulses and coast-downs", SETTINGS.pulses + 1, _coast)
@@ -497,10 +504,6 @@ def extremes(y: Array, names: Sequence[str]) -> dict[str, float]:
     return found
 
 
-ASSUMED = {"m": 0.02, "rad": 0.01, "m/s": 0.01, "rad/s": 0.005}
-"""Standard deviation by unit where nothing is known: a small vehicle with DVL, gyro and acoustic position."""
-
-
 @dataclass(frozen=True)
 class ChannelNoise:
     """Noise of the 2n channels of a vehicle."""
@@ -514,7 +517,7 @@ class ChannelNoise:
     @property
     def finite(self) -> Array:
         """The noise; what is assumed where nothing is measured."""
-        assumed = [ASSUMED[UNITS[n]] for n in self.names]
+        assumed = [_assumed_noise(n) for n in self.names]
         return np.where(np.isfinite(self.sigma), self.sigma, assumed)
 
 
@@ -545,6 +548,10 @@ def planned_noise(vehicle: Vehicle, asked: Mapping[str, float], runs: Sequence[R
     return ChannelNoise(names, sigma, tuple(source for _, source in found), derived)
 
 
+def _assumed_noise(name: str) -> float:
+    return dict(SETTINGS.assumed_noise)[UNITS[name]]
+
+
 def _noise(name: str, asked: Mapping[str, float], runs: Sequence[Run]) -> tuple[float, str]:
     if name in asked:
         return asked[name], "as given" if np.isfinite(asked[name]) else "not measured"
@@ -553,6 +560,6 @@ def _noise(name: str, asked: Mapping[str, float], runs: Sequence[Run]) -> tuple[
         return float("inf"), "not in the logs"
     estimated = float(channel_noise(with_it, [name])[0])
     if not estimated > 0:
-        return ASSUMED[UNITS[name]], "assumed"
+        return _assumed_noise(name), "assumed"
     taken = any(name in r.derived for r in with_it)
     return estimated, "taken from the pose" if taken else "from the logs"

@@ -46,8 +46,19 @@ from .pictures import (
 )
 from .sentences import chance, significance_text
 
+
 # --- results of a model for a report --------------------------------------------------------------
-_CURVES = 9  # variables that residual forces are drawn against
+@dataclass(frozen=True)
+class PageSettings:
+    """How much a report shows."""
+
+    compared_variables: int = 9  # variables that residual forces of a comparison are drawn against
+    # The same on the page of a diagnosis: for each degree of freedom those that the residual follows most.
+    page_variables: int = 6
+    page_runs: int = 3  # a page with the channels of many runs would take minutes to open
+
+
+SETTINGS = PageSettings()
 
 
 def errors_by_regime(before: Comparison, after: Comparison | None = None) -> ErrorMap:
@@ -165,7 +176,9 @@ def budgets(comparison: Comparison) -> list[Budget]:
     ]
 
 
-def leading(found: Sequence[ResidualCurve], dof: str, most: int = _CURVES) -> list[ResidualCurve]:
+def leading(
+    found: Sequence[ResidualCurve], dof: str, most: int = SETTINGS.compared_variables
+) -> list[ResidualCurve]:
     """The most informative variables of one degree of freedom."""
     return [c for c in found if c.before.degree_of_freedom == dof][:most]
 
@@ -184,8 +197,6 @@ def comparison_pictures(comparison: Comparison) -> dict[str, Figure]:
     return drawn
 
 
-# Panels for each degree of freedom: those of the variables that the residual follows most.
-_MOST_VARIABLES = 6
 _PROGRAMS = ("numpy", "scipy", "casadi", "sympy")
 
 
@@ -215,7 +226,9 @@ def report_data(
         headlines=tuple(f"{name}: {c.result.headline}" for name, c in zip(names, both, strict=False)),
         maps=(errors_by_regime(before, after),),
         runs=tuple(runs),
-        residuals=tuple(c for dof in result.degrees_of_freedom for c in leading(found, dof, _MOST_VARIABLES)),
+        residuals=tuple(
+            c for dof in result.degrees_of_freedom for c in leading(found, dof, SETTINGS.page_variables)
+        ),
         budgets=tuple(budgets(both[-1])),
         fits=_fits(before, after),
         settings={"prediction ahead": ahead},
@@ -336,10 +349,6 @@ def percent(share: float | None) -> str:
     return f"{100 * share:.3g} %".replace("-", "−")
 
 
-# A page with the channels of many runs would take minutes to open.
-_MOST_RUNS = 3
-
-
 def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
     """One self-contained HTML page: no script, and nothing is loaded from anywhere.
 
@@ -351,11 +360,11 @@ def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:
         data=shown,
         meaning=meaning(diagnosis),
         explanations=explanations(diagnosis.ranking, diagnosis.false_alarm_rate),
-        runs=shown.runs[:_MOST_RUNS],
+        runs=shown.runs[: SETTINGS.page_runs],
         units=MOTION_UNITS,
         influential=[c for c in diagnosis.ranking if has_influence(c, diagnosis)],
         without_influence=[c for c in diagnosis.ranking if not has_influence(c, diagnosis)],
-        left_out=[run.run for run in shown.runs[_MOST_RUNS:]],
+        left_out=[run.run for run in shown.runs[SETTINGS.page_runs :]],
         pictures=_Pictures(diagnosis, shown),
     )
 

@@ -115,14 +115,26 @@ class ReportData:
 
 
 # --- pictures -------------------------------------------------------------------------------------
-_MOST_CANDIDATES = 12
 _UNEXPLAINED = "unexplained"
-_GAP = 3.0  # times the median interval between samples: a longer one breaks the line
-# A simulation is cut off where it is outside the range of the measurement by more than this many times it.
-_SPANS = 1.0
 # Few enough colours that the colour bar is drawn as lines and not put into the page as an image.
 _HEAT = colormaps["YlOrRd"].resampled(40)
-_BUCKETS = 250  # of a line, each a pixel or two wide
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """How much pictures show, and where lines and axes end."""
+
+    candidates: int = 12
+    gap: float = 3.0  # times the median interval between samples: a longer one breaks the line
+    # A simulation is cut off where it is outside the range of the measurement by more than this many times
+    # it.
+    simulated_range: float = 1.0
+    buckets: int = 250  # of a line, each a pixel or two wide
+    points: int = 1500  # of a panel
+    outliers: float = 0.002  # share of the points at either end that the axes of a panel leave out
+
+
+SETTINGS = PictureSettings()
 
 
 def _plain_number(value: float, _: int) -> str:
@@ -200,7 +212,7 @@ _TICKS = [m * 10.0**e for e in range(-3, 7) for m in (1, 2, 5)]
 
 def ranking(ranked: Sequence[Ranked]) -> Figure:
     """The leading candidates: fall of the mean square on validation data, with 95 % intervals."""
-    shown = list(ranked)[:_MOST_CANDIDATES]
+    shown = list(ranked)[: SETTINGS.candidates]
     with look():
         picture, axes = figure(1.1 + 0.32 * max(len(shown), 1))
         axis = axes[0, 0]
@@ -297,7 +309,7 @@ def _without_blanks(t: Array, values: Array) -> tuple[Array, Array]:
     """Samples without the blank rows between them; the line breaks where samples are lost."""
     at = np.flatnonzero(np.isfinite(values))
     apart = np.diff(t[at])
-    gaps = np.flatnonzero(apart > _GAP * (np.median(apart) if len(apart) else 0.0)) + 1
+    gaps = np.flatnonzero(apart > SETTINGS.gap * (np.median(apart) if len(apart) else 0.0)) + 1
     return np.insert(t[at], gaps, t[at][gaps]), np.insert(values[at], gaps, np.nan)
 
 
@@ -307,15 +319,15 @@ def _limits(axis: Any, trace: Trace) -> None:
     if not len(finite):
         return
     low, high = float(finite.min()), float(finite.max())
-    margin = _SPANS * max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-12)
+    margin = SETTINGS.simulated_range * max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-12)
     fitted = [v[np.isfinite(v)] for v in (trace.before, trace.after) if v is not None]
     ends = np.concatenate([finite, *fitted])
     low, high = max(ends.min(), low - margin), min(ends.max(), high + margin)
-    room = 0.05 * max(high - low, margin / _SPANS)
+    room = 0.05 * max(high - low, margin / SETTINGS.simulated_range)
     axis.set_ylim(low - room, high + room)
 
 
-def decimated(t: Array, values: Array, buckets: int = _BUCKETS) -> tuple[Array, Array]:
+def decimated(t: Array, values: Array, buckets: int = SETTINGS.buckets) -> tuple[Array, Array]:
     """Two points per bucket for plotting: its least and largest value at their own times, gaps kept."""
     if len(t) <= 2 * buckets:
         return t, values
@@ -378,10 +390,6 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
     return picture
 
 
-# Points of a panel; share of the outliers at either end that its axes leave out.
-_SCATTERED, _OUTLIERS = 1500, 0.002
-
-
 def rates_picture(examined: Examined, vehicle: Vehicle, logs: Sequence[FieldLog] = ()) -> Figure:
     """One row for each pose coordinate: rate of the pose against the rate from the velocities.
 
@@ -437,9 +445,11 @@ def _used_panel(axis: Any, log: FieldLog) -> None:
 
 
 def _panel(axis: Any, points: tuple[Array, Array], name: str, title: str, colour: str) -> None:
-    step = max(1, len(points[0]) // _SCATTERED)
+    step = max(1, len(points[0]) // SETTINGS.points)
     x, y = (p[::step] for p in points)
-    low, high = (float(np.quantile(np.concatenate([x, y]), q)) for q in (_OUTLIERS, 1 - _OUTLIERS))
+    low, high = (
+        float(np.quantile(np.concatenate([x, y]), q)) for q in (SETTINGS.outliers, 1 - SETTINGS.outliers)
+    )
     margin = 0.05 * (high - low) or 1.0
     ends = (low - margin, high + margin)
     axis.plot(ends, ends, color=FAINT, linestyle="--", zorder=1)

@@ -75,13 +75,21 @@ def both(before: float | None, after: float | None) -> tuple[str, str]:
     return percentage(before, digits), percentage(after, digits)
 
 
-_SEEN = 0.02  # relative change of an error that tables show, and sentences must not call none
+@dataclass(frozen=True)
+class SentenceSettings:
+    """What sentences and tables tell apart."""
+
+    least_change: float = 0.02  # relative, of an error, that tables show and sentences must not call none
+    least_probability: float = 0.002  # that a few thousand draws determine
+
+
+SETTINGS = SentenceSettings()
 
 
 def _digits(low: float, high: float) -> int:
     """Digits of two errors that are compared: two, or three where only these show a change."""
     same = isfinite(low) and isfinite(high) and not _differ(low, high, 2)
-    return 3 if same and abs(high - low) >= _SEEN * max(low, high) else 2
+    return 3 if same and abs(high - low) >= SETTINGS.least_change * max(low, high) else 2
 
 
 def _differ(low: float, high: float, digits: int) -> bool:
@@ -169,10 +177,8 @@ def chance(p_value: float | None) -> str:
     """A probability in per cent, with the digits that resampling determines; empty for none."""
     if p_value is None:
         return ""
-    return f"< {_SMALLEST:.1%}".replace("%", " %") if p_value < _SMALLEST else f"{100 * p_value:.1f} %"
-
-
-_SMALLEST = 0.002  # that a few thousand draws determine
+    least = SETTINGS.least_probability
+    return f"< {least:.1%}".replace("%", " %") if p_value < least else f"{100 * p_value:.1f} %"
 
 
 def errors(ahead: Mapping[str, float]) -> str:
