@@ -49,9 +49,18 @@ from .partitions import Partition, duplicates, find
 from .reduction import Job, Panel, Reduced, identify_log, panel_of, reduce_log, with_fingerprint
 
 Vehicles = Mapping[str, tuple[Panel, Sequence[Day]]]
-# Relative change of an added mass from which one linear step is not exact enough.
-_FAR = 0.25
-_SCORES = 5
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """What is said of the values of a vehicle, and how many effects are shown."""
+
+    # Relative change of an added mass from which one linear step is not exact enough.
+    largest_linear_change: float = 0.25
+    shown_effects: int = 5  # those with the largest share of the residual
+
+
+SETTINGS = DiagnosisSettings()
 
 
 @dataclass(frozen=True)
@@ -149,7 +158,7 @@ def _scores(changes: ChangeTests, days: Sequence[Day]) -> tuple[Score, ...]:
         chances = [two_sided_p(solved.theta[i], solved.errors[i], len(days) - 1) for i in places]
         share = max(solved.reduction - plain.reduction, 0.0) / max(left, 1e-300)
         found.append(Score(effect, float(share), min(1.0, count * min(chances, default=1.0))))
-    return tuple(sorted(found, key=lambda s: -s.share)[:_SCORES])
+    return tuple(sorted(found, key=lambda s: -s.share)[: SETTINGS.shown_effects])
 
 
 def _remarks(draft: _Draft) -> list[str]:
@@ -162,7 +171,7 @@ def _remarks(draft: _Draft) -> list[str]:
         stated, moved = panel.vehicle.value_of(name).value, float(solved.theta[i])
         if not low[i] <= stated + moved <= high[i]:
             found.append(f"{name} has an unphysical value: something else is missing in the model")
-        elif name in inertial and abs(moved) > _FAR * abs(stated):
+        elif name in inertial and abs(moved) > SETTINGS.largest_linear_change * abs(stated):
             found.append(
                 f"{name} is {moved / stated:+.0%} from the file's value, too far for one linear step: "
                 "use --passes 2"

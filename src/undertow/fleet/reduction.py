@@ -162,14 +162,20 @@ def _refuse_unknown(daily: Sequence[str], known: Catalogue, scored: Sequence[Can
             )
 
 
-ROWS = 20_000
-"""Rows of a log that are in memory at a time."""
-# Models that one process holds ready: in a fleet, neighbours in the queue are often of the same vehicle.
-_MOST_PANELS = 4
+@dataclass(frozen=True)
+class ReductionSettings:
+    """How logs are reduced to factors."""
+
+    rows: int = 20_000  # of a log that are in memory at a time
+    # Models that one process holds ready: in a fleet, neighbours in the queue are often of the same vehicle.
+    panels: int = 4
+    # Stiffness of a value for one day, as a share of the information: it only keeps the factor regular.
+    daily_stiffness: float = 1e-6
+
+
+SETTINGS = ReductionSettings()
 # Raised when what is stored changes its meaning.
 _FORMAT = 2
-# Stiffness of a value for one day, as a share of the information: it only keeps the factor regular.
-_LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -194,7 +200,7 @@ class Job(LogJob):
 
     values: tuple[tuple[str, float], ...] = ()  # that differ from the file's, SI and SNAME signs
     daily: tuple[str, ...] = DAILY  # effects that every log has a value of its own for
-    rows: int = ROWS  # rows that are read at a time
+    rows: int = SETTINGS.rows  # rows that are read at a time
     fingerprint: str = ""  # hash of all that decides what comes out; empty where it is not known yet
 
 
@@ -229,7 +235,7 @@ _PANELS: dict[str, Panel] = {}
 
 
 def _keep(key: str, panel: Panel) -> None:
-    while len(_PANELS) >= _MOST_PANELS:
+    while len(_PANELS) >= SETTINGS.panels:
         del _PANELS[next(iter(_PANELS))]
     _PANELS[key] = panel
 
@@ -317,7 +323,7 @@ def _without(factor: Array, daily: int) -> Array:
     width = factor.shape[1]
     size = np.linalg.norm(factor[:, :daily], axis=0)
     loose = np.zeros((daily, width))
-    loose[:, :daily] = np.diag(np.where(size > 0, _LOOSE * size, 1.0))
+    loose[:, :daily] = np.diag(np.where(size > 0, SETTINGS.daily_stiffness * size, 1.0))
     square = np.zeros((width - daily, width - daily))
     whole = np.asarray(np.linalg.qr(np.vstack([factor, loose]), mode="r"))
     rest = whole[daily:, daily:]
