@@ -220,7 +220,16 @@ def _mismatch(left: sm.Expr, right: sm.Expr, units: dict[sm.Symbol, str]) -> str
     return "" if fits else f"{left} is {unit_text(one)}, {right} {unit_text(other)}"
 
 
-_TRIALS, _SEED, _ROUNDING = 200, 20210405, 1e-9
+@dataclass(frozen=True)
+class AuditSettings:
+    """How equations are audited: definiteness, and power at random states."""
+
+    random_states: int = 200
+    seed: int = 20210405  # of the random states
+    rounding: float = 1e-9  # eigenvalue or power, relative to the largest, or to one, that is rounding
+
+
+SETTINGS = AuditSettings()
 
 
 def audit_vehicle(vehicle: Vehicle) -> list[Discrepancy]:
@@ -262,7 +271,7 @@ def _first(matrix: sm.Matrix) -> str:
 def _damping(plant: Plant, one: SignSet) -> Iterator[Discrepancy]:
     symmetric = 0.5 * (one.damping + one.damping.T)
     values, vectors = np.linalg.eigh(symmetric)
-    if values[0] < -_ROUNDING * max(1.0, abs(values[-1])):
+    if values[0] < -SETTINGS.rounding * max(1.0, abs(values[-1])):
         of = f" ({one.name})" if one.name else ""
         along = ", ".join(
             f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > 1e-3
@@ -283,8 +292,8 @@ def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
             continue
         values = _at_random(powers[effect.id], vehicle)
         values = values[np.isfinite(values)]
-        limit = _ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
-        if effect.workless and np.abs(values).max(initial=0.0) > _ROUNDING * 1e3:
+        limit = SETTINGS.rounding * max(1.0, float(np.abs(values).max(initial=0.0)))
+        if effect.workless and np.abs(values).max(initial=0.0) > SETTINGS.rounding * 1e3:
             worst = float(values[np.abs(values).argmax()])
             yield Discrepancy(
                 WRONG, effect.id, "claims to do no work but does", f"{worst:.4g} W at a random state"
@@ -294,7 +303,7 @@ def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
                 WRONG,
                 effect.id,
                 "claims to take energy but feeds it in with the values of the file",
-                f"{float(values.max()):.4g} W at a random state, of {_TRIALS}",
+                f"{float(values.max()):.4g} W at a random state, of {SETTINGS.random_states}",
             )
 
 
@@ -304,8 +313,8 @@ def _at_random(power: sm.Expr, vehicle: Vehicle) -> Array:
     names = sorted(filled.free_symbols, key=str)
     if not names:
         return np.array([float(filled)])
-    generator = np.random.default_rng(_SEED)
+    generator = np.random.default_rng(SETTINGS.seed)
     function = function_of(names, filled, "numpy")
     with np.errstate(all="ignore"):
-        found = function(*generator.uniform(-1.0, 1.0, (len(names), _TRIALS)))
+        found = function(*generator.uniform(-1.0, 1.0, (len(names), SETTINGS.random_states)))
     return np.atleast_1d(np.asarray(found, dtype=float))

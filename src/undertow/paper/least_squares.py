@@ -26,8 +26,19 @@ from undertow.typing import Array, Progress
 
 from .regression import Axis, Case, Edges, Regression, axis_of, chosen_cases, moving
 
-# Condition number of the scaled regressor from which rounding alone decides the estimates.
-_CONDITION = 1e7
+
+@dataclass(frozen=True)
+class EstimationSettings:
+    """Limits of estimates, and how much of a log is held at once."""
+
+    # Condition number of the scaled regressor from which rounding alone decides the estimates.
+    largest_condition: float = 1e7
+    # Standard deviations between two estimates of one parameter from which they contradict each other.
+    contradiction: float = 3.0
+    rows: int = 50_000  # that are in memory at a time
+
+
+SETTINGS = EstimationSettings()
 
 
 @dataclass(frozen=True)
@@ -126,7 +137,7 @@ def estimated_by(experiment: Experiment, case: Case, triangle: TriangularFactor)
     _check_samples(experiment.axis, regression.free, H, triangle.count, case)
     scaled = H / size
     condition = float(np.linalg.cond(scaled))
-    if condition > _CONDITION:
+    if condition > SETTINGS.largest_condition:
         raise UndertowError(_open(experiment.axis, regression.free, H, triangle.count, case))
     theta = np.linalg.lstsq(scaled, target, rcond=None)[0] / size
     residual = target - H @ theta
@@ -165,7 +176,7 @@ def _check_samples(axis: Axis, names: Sequence[str], H: Array, count: int, case:
 
 def _open(axis: Axis, names: Sequence[str], H: Array, count: int, case: Case) -> str:
     """What to say where samples determine sums of parameters only."""
-    gram, nothing = H.T @ H, 1.0 / _CONDITION**2
+    gram, nothing = H.T @ H, 1.0 / SETTINGS.largest_condition**2
     tied = {n for group in undetermined(gram, names, nothing) for n in group}
     seen = [*(n for n in names if n not in tied), *map(str, base_parameters(gram, names, nothing))]
     return (
@@ -181,10 +192,6 @@ RULE = "of the cases whose estimates are all physical, the one with the least re
 def selected(found: Sequence[Estimation]) -> Estimation | None:
     """The estimate that `RULE` takes; None where no case is physical."""
     return min((e for e in found if e.valid), key=lambda e: e.residual_variance, default=None)
-
-
-# Standard deviations between two estimates of one parameter from which they contradict each other.
-_APART = 3.0
 
 
 @dataclass(frozen=True)
@@ -236,7 +243,7 @@ def _contradictions(
         return float(abs(theta[i] - theta[j]) / np.sqrt(covariance[i, i] + covariance[j, j]))
 
     i, j = worst = max(combinations(places, 2), key=away)
-    if away(worst) <= _APART:
+    if away(worst) <= SETTINGS.contradiction:
         return None
     return (
         f"{name} is {theta[i]:.6g} by {axes[i]} and {theta[j]:.6g} by {axes[j]}, {away(worst):.1f} standard "
@@ -244,16 +251,12 @@ def _contradictions(
     )
 
 
-ROWS = 50_000
-"""Rows that are in memory at a time."""
-
-
 def estimate_streaming(
     vehicle: Vehicle,
     logs: Sequence[LongLog],
     cases: Sequence[Case],
     edges: Edges = "interp",
-    rows: int = ROWS,
+    rows: int = SETTINGS.rows,
     progress: Progress = lambda done, words: None,
     *,
     trust_log: bool = False,

@@ -25,8 +25,23 @@ from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
 
 Direction = Literal["forward", "backward", "both"]
-# Share of the way in the lesser direction from which a log is one of both directions.
-_BOTH_WAYS = 0.05
+
+
+@dataclass(frozen=True)
+class RegressionSettings:
+    """Which logs a regression takes, and how its rows are reduced."""
+
+    # Share of the way in the lesser direction from which a log is one of both directions.
+    both_ways: float = 0.05
+    # Share of the sampling interval by which the clock may waver for a filter that counts samples.
+    largest_jitter: float = 0.02
+    # Condition number of the scaled regressor up to which a Cholesky factor of the products is good to 1e-10.
+    largest_cholesky_condition: float = 300.0
+    # Samples in a block of rows, which then has less than a quarter of a megabyte for six rows of thirty.
+    block: int = 128
+
+
+SETTINGS = RegressionSettings()
 
 
 @dataclass(frozen=True)
@@ -104,7 +119,7 @@ def _direction(run: Run, name: str, vehicle: str) -> Direction:
     way = run.channels[name]
     total = float(np.nansum(np.abs(way)))
     ahead = float(np.nansum(np.maximum(way, 0.0))) / total
-    if _BOTH_WAYS < ahead < 1.0 - _BOTH_WAYS:
+    if SETTINGS.both_ways < ahead < 1.0 - SETTINGS.both_ways:
         raise UndertowError(
             f"run '{run.name}' goes forward for {ahead:.0%} of its way in {name} and backward for the rest, "
             f"but vehicle '{vehicle}' has a value for each direction: give the two parts by themselves "
@@ -225,10 +240,6 @@ def chosen_cases(words: str) -> list[Case]:
             "as in 2,8,11"
         )
     return [CASES[name] for name in dict.fromkeys(names)]
-
-
-# Share of the sampling interval by which the clock may waver for a filter that counts samples.
-_EVEN = 0.02
 
 
 class Regression:
@@ -385,11 +396,11 @@ def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
 def _step(run: Run, piece: slice, *, even: bool) -> float:
     steps = np.diff(run.t[piece])
     step = float(np.median(steps))
-    if len(steps) and np.max(np.abs(steps - step)) <= _EVEN * step:
+    if len(steps) and np.max(np.abs(steps - step)) <= SETTINGS.largest_jitter * step:
         # Of an even clock the mean is known better: late in a long log, times are rounded to 1e-10 s.
         step = float((run.t[piece][-1] - run.t[piece][0]) / len(steps))
     worst = float(np.max(np.abs(steps - step)))
-    if even and worst > _EVEN * step:
+    if even and worst > SETTINGS.largest_jitter * step:
         raise UndertowError(
             f"run '{run.name}' is sampled unevenly (steps of {step:g} s, off by up to {worst:g} s), but "
             "Savitzky-Golay filters count samples: resample it on an even clock, or use undertow fit"
@@ -404,12 +415,6 @@ def _no_dead_time(axis: Axis, functions: Functions) -> None:
             f"vehicle '{axis.vehicle.name}' responds to its commands {seconds:g} s late, which least squares "
             "on samples does not follow: use undertow fit, or log the force itself"
         )
-
-
-# Condition number of the scaled regressor up to which a Cholesky factor of the products is good to 1e-10.
-_WELL_CONDITIONED = 300.0
-# Samples in a block of rows, which then has less than a quarter of a megabyte for six rows of thirty.
-_BLOCK = 128
 
 
 class LinearFit:
@@ -437,7 +442,7 @@ class LinearFit:
         sums = Sums(np.zeros((len(self.names) + 1, len(self.names) + 1)))
         self._rows.gram(columns, self._p, sums)
         factor = _cholesky(sums.total)
-        if factor is not None and _condition(factor) <= _WELL_CONDITIONED:
+        if factor is not None and _condition(factor) <= SETTINGS.largest_cholesky_condition:
             return factor, sums.count
         return self._by_reflections(columns)
 
@@ -454,8 +459,8 @@ class LinearFit:
 
     def _by_reflections(self, columns: list[Array]) -> tuple[Array, int]:
         triangle = TriangularFactor(len(self.names))
-        for first in range(0, len(columns[0]) if columns else 0, _BLOCK):
-            triangle.add(*self._rows.build([c[first : first + _BLOCK] for c in columns], self._p))
+        for first in range(0, len(columns[0]) if columns else 0, SETTINGS.block):
+            triangle.add(*self._rows.build([c[first : first + SETTINGS.block] for c in columns], self._p))
         return triangle.factor, triangle.count
 
 
