@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,17 @@ from .coefficients import Coefficient, Record, read_record
 from .settings import Case, Tank, folder_of, log_of
 
 _NAMES = ("x", "y", "z")
-_QUICK = 0.999  # share of the highest speed at which a hull is as quick as it gets
-_AROUND = 1.2  # longest sides of the hull that a picture shows to each side of it
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """When and where a section is shown."""
+
+    full_speed: float = 0.999  # share of the highest speed at which a hull is as quick as it gets
+    margin: float = 1.2  # longest sides of the hull that a picture shows to each side of it
+
+
+SETTINGS = PictureSettings()
 
 
 def read_section(folder: Path, at: float | None = None) -> tuple[float, Array, Integers, Array]:
@@ -86,7 +96,7 @@ def _draw_section(result: Figure, axes: Any, tank: Tank, case: Case, grid: int, 
     cells = PolyCollection(list(corners), array=speeds, cmap="viridis", edgecolors="face", linewidths=0.3)
     axes.add_collection(cells)
     axes.add_collection(PolyCollection(list(lined), facecolors="none", edgecolors="white", linewidths=0.12))
-    reach = _AROUND * tank.size * np.array([1.0, 0.6])
+    reach = SETTINGS.margin * tank.size * np.array([1.0, 0.6])
     axes.set(xlim=centre[0] + reach[0] * np.array([-1, 1]), ylim=centre[1] + reach[1] * np.array([-1, 1]))
     axes.set_aspect("equal")
     if shown[1] == 2:
@@ -101,7 +111,7 @@ def _at_speed(record: Record | None) -> float | None:
     if record is None:
         return None
     speed = np.abs(record.speed)
-    return float(record.time[np.flatnonzero(speed >= _QUICK * speed.max())[-1]])
+    return float(record.time[np.flatnonzero(speed >= SETTINGS.full_speed * speed.max())[-1]])
 
 
 def _centre(record: Record | None, case: Case, time: float) -> Array:
