@@ -334,7 +334,7 @@ class _Timer:
     runs_out = True
 
     def __init__(self, seconds: float, action: Callable[[], None]) -> None:
-        assert seconds == _terminal.DELAY == 2.0
+        assert seconds == _terminal.SETTINGS.delay == 2.0
         self.action = action
 
     def start(self) -> None:

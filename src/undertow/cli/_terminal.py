@@ -354,10 +354,18 @@ def _indented(line: Any, by: int) -> Any:
     return Text.assemble(" " * by, line)
 
 
-DELAY = 2.0
-"""Seconds before a bar appears."""
-INTERVAL = 30.0
-"""Seconds between two lines where there is no bar."""
+@dataclass(frozen=True)
+class TerminalSettings:
+    """When progress is shown, and an interruption is repeated, s."""
+
+    delay: float = 2.0  # before a bar appears
+    interval: float = 30.0  # between two lines where there is no bar
+    # After which an interruption that came to nothing is repeated: short against the time that a command
+    # takes after its last call of a library, or the result would be written in spite of it.
+    repetition: float = 0.05
+
+
+SETTINGS = TerminalSettings()
 
 
 @contextmanager
@@ -373,7 +381,7 @@ def progress(description: str, total: float | None = 1.0) -> Iterator[Callable[[
         yield _Lines(description, total).report
         return
     bar = _Bar(description, total)
-    timer = Timer(DELAY, bar.show)
+    timer = Timer(SETTINGS.delay, bar.show)
     timer.daemon = True
     timer.start()
     try:
@@ -391,7 +399,7 @@ class _Lines:
 
     def report(self, done: float, words: str = "") -> None:
         self._words = words or self._words
-        if monotonic() - self._last > INTERVAL:
+        if monotonic() - self._last > SETTINGS.interval:
             self._last = monotonic()
             print(f"{self._words}: {done / self._total:.0%}", file=sys.stderr, flush=True)
 
@@ -463,11 +471,6 @@ def log_to_stderr(verbose: bool) -> None:
     logging.getLogger("matplotlib").setLevel(logging.WARNING if verbose else logging.ERROR)
 
 
-# Seconds after which an interruption that came to nothing is repeated: short against the time that a command
-# takes after its last call of a library, or the result would be written in spite of it.
-_PATIENCE = 0.05
-
-
 @contextmanager
 def repeated_interrupts() -> Iterator[None]:
     """While the block runs, repeat KeyboardInterrupt after Ctrl-C until it has ended the block.
@@ -497,13 +500,13 @@ def _free() -> bool:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+    signal.setitimer(signal.ITIMER_REAL, SETTINGS.repetition)
     raise KeyboardInterrupt
 
 
 def _repeat(number: int, frame: FrameType | None) -> None:
     if _under_way(sys.exception()):
-        signal.setitimer(signal.ITIMER_REAL, _PATIENCE)  # what tidies up is left to finish
+        signal.setitimer(signal.ITIMER_REAL, SETTINGS.repetition)  # what tidies up is left to finish
     else:
         _raise(number, frame)
 

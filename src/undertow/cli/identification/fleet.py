@@ -261,9 +261,15 @@ def _band_rows(bands: Sequence[Band]) -> Iterator[tuple[str, ...]]:
         yield name, f"{100 * share:.3g}", f"{end:.3g}", f"{end / max(first, 1e-300):.3g}"
 
 
-_SHOWN = 20
-# Months that a terminal has room for; report.md has all.
-_MONTHS = 4
+@dataclass(frozen=True)
+class TerminalLimits:
+    """How much a terminal has room for; report.md has all months, report.json all files."""
+
+    failed_files: int = 20
+    months: int = 4
+
+
+_LIMITS = TerminalLimits()
 
 
 def show(found: FleetReport) -> None:
@@ -277,10 +283,11 @@ def show(found: FleetReport) -> None:
     out.print()
     worked = f"{found.worked} computed now, {found.done - found.worked} reused"
     out.print(text(f"{found.done} of {found.found} files were used ({worked})"))
-    for path, words in [*found.failed.items()][:_SHOWN]:
+    most = _LIMITS.failed_files
+    for path, words in [*found.failed.items()][:most]:
         say(f"left out: {_failed(path, words)}", "yellow")
-    if len(found.failed) > _SHOWN:
-        out.print(text(f"and {len(found.failed) - _SHOWN} more, all in report.json", "yellow"))
+    if len(found.failed) > most:
+        out.print(text(f"and {len(found.failed) - most} more, all in report.json", "yellow"))
     for path, other in found.twins.items():
         say(f"left out: {path} has the content of {other}", "yellow")
 
@@ -290,12 +297,12 @@ def _failed(path: str, words: str) -> str:
 
 
 def _heads(of: VehicleReport) -> list[str]:
-    return [*(p.name for p in of.months[-_MONTHS:]), "all days"]
+    return [*(p.name for p in of.months[-_LIMITS.months :]), "all days"]
 
 
 def _estimates(of: VehicleReport) -> Iterator[tuple[str, ...]]:
     """One line for each parameter: its last months, then all days."""
-    periods = [*of.months[-_MONTHS:], of.whole]
+    periods = [*of.months[-_LIMITS.months :], of.whole]
     for i, one in enumerate(of.whole.parameters):
         yield f"{one.name}, {one.unit}", *(_cell(p.parameters[i]) for p in periods)
 
