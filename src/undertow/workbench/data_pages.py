@@ -16,7 +16,6 @@ from . import figures
 from .session import ROLES, LogChoice, Remedy, Role, seconds
 from .view import View, action, heading, lines, stale
 
-_USUAL = 12  # channels that are shown at first: more do not fit on a screen
 _TOGGLE = "unelevated toggle-color=blue-grey-6 color=grey-3 text-color=black"
 _NAMES = {"mistake": "#c62828", "warning": "#ff8f00"}
 _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
@@ -96,7 +95,9 @@ def _channels(view: View) -> None:
     run = view.bench.runs[view.log]
     known = _in_order(view)
     moving = [n for n in known if np.ptp(_present_samples(run.channels[n])) > 0]
-    view.channels = [n for n in known if n in view.channels] or moving[:_USUAL] or known[:1]
+    view.channels = (
+        [n for n in known if n in view.channels] or moving[: figures.SETTINGS.shown_channels] or known[:1]
+    )
     select = ui.select(known, multiple=True, value=view.channels, label="channels")
     select.props("dense use-chips options-dense").classes("w-full").mark("channels")
     with ui.row().classes("items-center gap-2"):

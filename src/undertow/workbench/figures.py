@@ -24,8 +24,9 @@ Line = list[float | None]
 
 @dataclass(frozen=True)
 class FigureSettings:
-    """Sizes that were chosen by looking at the pages on a screen of 1400 pixels."""
+    """How much is shown, and sizes that were chosen by looking at the pages on a screen of 1400 pixels."""
 
+    shown_channels: int = 12  # at first: more do not fit on a screen
     pixels: int = 1000  # of a channel, with a least and a greatest value each
     row: int = 92  # height of a channel, pixels
     gap: float = 0.12  # share of a row between two
