@@ -20,15 +20,16 @@ from .reduction import Panel, Reduced
 
 
 @dataclass(frozen=True)
-class RankLimits:
-    """Thresholds for undetermined parameters."""
+class EstimationLimits:
+    """Thresholds from which parameters, and their scatter from day to day, are determined."""
 
     singular: float = 1e-7  # singular value of the scaled factor, relative to the greatest
     eigen: float = 1e-13  # eigenvalue of products of columns: their rounding is that much coarser
     share: float = 1e-3  # share of a parameter that may lie in what is not determined
+    fewest_days: int = 3  # on either side of a comparison, from which scatter can be estimated
 
 
-_RANK = RankLimits()
+_LIMITS = EstimationLimits()
 
 
 @dataclass(frozen=True)
@@ -118,10 +119,10 @@ def solve(days: Sequence[Day], designs: Sequence[Array], prior: Prior) -> LeastS
     size = np.linalg.norm(H, axis=0)
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     U, s, V = np.linalg.svd(H * scale, full_matrices=False)
-    kept = s > _RANK.singular * s.max(initial=0.0)
+    kept = s > _LIMITS.singular * s.max(initial=0.0)
     theta = scale * (V[kept].T @ ((U.T @ target)[kept] / s[kept]))
     covariance = np.outer(scale, scale) * (V[kept].T @ (V[kept] / s[kept, None] ** 2))
-    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _RANK.share)
+    determined = (size > 0) & (np.linalg.norm(V[~kept], axis=0) < _LIMITS.share)
     grams = np.array([row.T @ row for row in rows])
     whole = np.sum(grams, axis=0) + known.T @ known
     shifts = _without(whole - grams, scale) - theta
@@ -139,7 +140,7 @@ def _widened(design: Array) -> Array:
 def _without(grams: Array, scale: Array) -> Array:
     """Unknowns by the products of the columns with one day left out, for every day."""
     value, vector = np.linalg.eigh(grams[:, :-1, :-1] * np.outer(scale, scale))
-    kept = value > _RANK.eigen * value.max(axis=1, keepdims=True, initial=0.0)
+    kept = value > _LIMITS.eigen * value.max(axis=1, keepdims=True, initial=0.0)
     along = np.einsum("dji,dj->di", vector, scale * grams[:, :-1, -1])
     solution = np.divide(along, value, out=np.zeros_like(along), where=kept)
     return np.asarray(scale * np.einsum("dij,dj->di", vector, solution))
@@ -163,8 +164,6 @@ def by_month(days: Sequence[Day]) -> Mapping[str, list[Day]]:
 Profile = Callable[[Day], float]
 Kind = Literal["drag", "thrust", "inertia"]
 KINDS: tuple[Kind, ...] = ("drag", "thrust", "inertia")
-#: Days on either side of a comparison from which scatter can be estimated.
-FEWEST_DAYS = 3
 _MOTIONS = {"X": "surge", "Y": "sway", "Z": "heave", "K": "roll", "M": "pitch", "N": "yaw"}
 _GAIN = "gain_error_"
 
@@ -215,7 +214,7 @@ class Span:
     def enough(self) -> bool:
         """Whether there are days enough to distinguish a change from scatter."""
         first, last = self.groups
-        return min(first, last or first) >= FEWEST_DAYS
+        return min(first, last or first) >= _LIMITS.fewest_days
 
     def freedom(self, found: LeastSquares, places: slice) -> Array:
         """Degrees of freedom of the standard errors, by Welch and Satterthwaite where two groups are held
@@ -467,7 +466,7 @@ def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
 def _lacking(span: Span) -> str:
     first, last = span.groups
     text = f"{first} days" if not last else f"{first} days before and {last} in this month"
-    return f"{text}, at least {FEWEST_DAYS} are needed to estimate the day-to-day scatter"
+    return f"{text}, at least {_LIMITS.fewest_days} are needed to estimate the day-to-day scatter"
 
 
 def _nothing(asked: SpanTest, limit: float) -> Statement:
