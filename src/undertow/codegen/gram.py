@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .compiler import LANES, Compiler, library_for, loaded, plain_c, pointer
-from .engine import LANES_HEADER, at_samples
+from .engine import LANES_HEADER, SETTINGS, at_samples
 from .functions import Functions
 from .source import c_file, integers, with_entries
 
@@ -28,8 +28,6 @@ _LANES = """\
 #define LANES 1
 #endif
 """
-# Samples whose rows are in memory together, where they are not compiled.
-_CHUNK = 128
 
 
 @dataclass(frozen=True)
@@ -171,8 +169,8 @@ class VirtualRows:
         return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
 
     def _chunks(self, columns: list[Array], p: Array) -> Iterator[tuple[Array, int]]:
-        for first in range(0, _length(columns), _CHUNK):
-            rows = slice(first, first + _CHUNK)
+        for first in range(0, _length(columns), SETTINGS.rows_chunk):
+            rows = slice(first, first + SETTINGS.rows_chunk)
             yield self._chunk(np.stack([c[rows] for c in columns]), p)
 
     def _chunk(self, columns: Array, p: Array) -> tuple[Array, int]:
