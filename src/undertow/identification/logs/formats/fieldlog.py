@@ -486,11 +486,12 @@ TABLES = ("CSV (.csv, .csv.gz)", "Parquet (.parquet)")
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """Limit on CPU time, s, for reading a file that could hang its reader."""
+    """Limits on the time, s, for reading a file that could hang its reader."""
 
     # Importing the libraries takes two, and unpacking a megabyte of numbers 0.05.
     least: float = 20.0
     per_megabyte: float = 1.0
+    subprocess: float = 600  # in which a program of its own, as for dbdreader, has to be done
 
 
 TRIAL = TrialSettings()

@@ -21,7 +21,7 @@ from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping, depth, north_east
 from undertow.typing import Array
 
-from .fieldlog import FieldLog, Format, Series
+from .fieldlog import TRIAL, FieldLog, Format, Series
 
 KNOWN = {
     "m_depth": Column(channel="z", unit="m"),
@@ -37,7 +37,6 @@ KNOWN = {
 
 # Of the CTD, in the files of the science computer (.ebd, .tbd) in place of m_depth; zero at the surface.
 _PRESSURE, _BAR = "sci_water_pressure", 1e5
-_SECONDS = 600  # in which dbdreader has to be done
 _PROGRAM = """
 import sys
 import numpy, dbdreader
@@ -90,7 +89,7 @@ def _sensors(path: Path, messages: Path | None) -> tuple[Array, dict[str, Array]
             shutil.copy(file, folder)
         found = Path(folder) / "found.npz"
         command = [sys.executable, "-c", _PROGRAM, str(path.resolve()), folder, str(found)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_SECONDS, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TRIAL.subprocess, check=False)
         if not found.exists():
             said = (done.stderr or done.stdout).strip().split("\n")[-1][:300] or "no reason given"
             folder_needed = "ache" in said  # of "cache"
