@@ -11,7 +11,7 @@ import casadi as ca
 import sympy as sm
 
 from undertow.model.composition import stated
-from undertow.model.effect import THRUSTERS, Curve, Flow, Number, Propeller, Surface, Wrench
+from undertow.model.effect import ACTUATORS, Curve, Flow, Number, Propeller, Surface, Wrench
 from undertow.model.symbols import column, symbol
 from undertow.model.vehicle import Thruster, Vehicle
 from undertow.typing import Array
@@ -465,8 +465,6 @@ def solution(matrix: ca.SX, right: ca.SX, moving: ca.SX) -> ca.SX:
 
 # --- numbers of thrusters, propellers and surfaces by name, for code that takes them as parameters ---------
 _AXES = "xyz"
-# Of a moment and that of the position and direction beside it, which are then the same: rounding.
-_SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -519,7 +517,7 @@ def _thruster(thruster: Thruster, names: _Names, curves: dict[Curve, Curve]) -> 
     name, law = thruster.name, thruster.law
     ahead, *others = thruster.wrench[:3]
     # Which thrusters push across the hull, as rudders do, is no number: it stays as in the file.
-    e = [names.of(f"e_x_{name}", "1", ahead, abs(ahead) >= THRUSTERS.largest_part_ahead)]
+    e = [names.of(f"e_x_{name}", "1", ahead, abs(ahead) >= ACTUATORS.largest_part_ahead)]
     e += [names.of(f"e_{a}_{name}", "1", v) for a, v in zip("yz", others, strict=True)]
     if thruster.position is None or not _same(thruster.wrench, thruster.position):
         moment = sm.Matrix(names.row("lever", name, "m", thruster.wrench[3:]))
@@ -538,7 +536,9 @@ def _thruster(thruster: Thruster, names: _Names, curves: dict[Curve, Curve]) -> 
 def _same(wrench: Sequence[float], position: Sequence[float]) -> bool:
     """Whether the moment is that of the force at the position; who replaces one may leave the other."""
     moment = sm.Matrix(position).cross(sm.Matrix(wrench[:3]))
-    return all(isclose(a, b, rel_tol=_SAME, abs_tol=_SAME) for a, b in zip(wrench[3:], moment, strict=True))
+    rounding = ACTUATORS.same_moment
+    pairs = zip(wrench[3:], moment, strict=True)
+    return all(isclose(a, b, rel_tol=rounding, abs_tol=rounding) for a, b in pairs)
 
 
 def _curve(owner: str, law: Curve, names: _Names) -> Curve:

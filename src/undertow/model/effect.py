@@ -441,17 +441,22 @@ Number = Any  # a float, or a symbol on a specimen
 
 
 @dataclass(frozen=True)
-class ThrusterSettings:
-    """Numbers by which thrusters and their curves are judged."""
+class ActuatorSettings:
+    """Numbers by which directions of thrusters and surfaces, and curves of thrust, are judged."""
 
     # Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files.
     largest_part_ahead: float = 1e-6
+    # How far an axis may miss a unit vector across the x axis, and is then a rounded one.
+    axis_error: float = 1e-3
+    # Difference of a stated moment and that of the position and direction beside it, relative or in m, up to
+    # which they are the same: rounding.
+    same_moment: float = 1e-9
     curve_points: int = 400  # commands at which a curve is tried for a fall, but for the first one
-    rounding: float = 1e-9  # fall of a curve, as a share of its rise, that is rounding
+    rounding_fall: float = 1e-9  # fall of a curve, as a share of its rise, that is rounding
     halvings: int = 60  # of the range of a curve in search of a command: they leave nothing of it
 
 
-THRUSTERS = ThrusterSettings()
+ACTUATORS = ActuatorSettings()
 
 
 @dataclass(frozen=True)
@@ -563,9 +568,9 @@ class Curve:
     @cached_property
     def _falls(self) -> bool:
         low, high = self.pieces[0][0], self.pieces[-1][1]
-        points = THRUSTERS.curve_points
+        points = ACTUATORS.curve_points
         thrusts = [self.at(low + (high - low) * k / points) for k in range(points + 1)]
-        rounding = THRUSTERS.rounding * abs(thrusts[-1] - thrusts[0])
+        rounding = ACTUATORS.rounding_fall * abs(thrusts[-1] - thrusts[0])
         return any(b < a - rounding for a, b in pairwise(thrusts))
 
     def inverse(self, thrust: float) -> float:
@@ -576,7 +581,7 @@ class Curve:
         if self._falls:
             raise UndertowError("the thrust falls with the command somewhere: no command belongs to a thrust")
         low, high = self.pieces[0][0], self.pieces[-1][1]
-        for _ in range(THRUSTERS.halvings):
+        for _ in range(ACTUATORS.halvings):
             middle = (low + high) / 2
             low, high = (low, middle) if self.at(middle) >= thrust else (middle, high)
         return (low + high) / 2

@@ -23,6 +23,7 @@ from .effects.control_surfaces import ControlSurfaces
 from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .parameter import SharedQuantity, printed
+from .plausibility import SETTINGS as CHECKS
 from .plausibility import check_vehicle
 from .symbols import DOFS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .tables import (
@@ -44,10 +45,6 @@ from .vehicle import Value, Vehicle
 def read_vehicle_table(path: Path) -> VehicleTable:
     """Read and validate a vehicle file."""
     return read_table(path, VehicleTable, "vehicle file")
-
-
-# Below this, m or N, two numbers that should be zero are.
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -152,7 +149,7 @@ class Statements:
         if meant or elsewhere is None or raw is None:
             return
         value = si_of(place, raw, quantity.unit)
-        if not isclose(value, elsewhere, rel_tol=quantity.rounding, abs_tol=_NOTHING):
+        if not isclose(value, elsewhere, rel_tol=quantity.rounding, abs_tol=CHECKS.zero):
             # What a fit found must fit into a file, and it may have moved what the owner states.
             names = {str(x) for formula in quantity.formulas for x in formula.free_symbols}
             entries = [entry, *(e for n, e in self.tables.get(quantity.owner, {}).items() if n in names)]

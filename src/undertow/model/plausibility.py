@@ -21,10 +21,11 @@ _LIMITS = Limits()
 
 @dataclass(frozen=True)
 class CheckSettings:
-    """How equations are checked."""
+    """How the statements and equations of a vehicle are checked."""
 
     # Share of the trace of a mass matrix down to which a negative pivot is rounding.
     rounding: float = 1e-12
+    zero: float = 1e-9  # m or N, below which two statements that should be zero are
     # Velocities at which every vehicle must have equations, m/s and rad/s: at rest, and creeping either way.
     creeping: tuple[float, ...] = (0.0, 0.1, -0.1)
 

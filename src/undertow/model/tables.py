@@ -27,7 +27,7 @@ from pydantic import (
 from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside, read_toml
 
-from .effect import Curve, Law, Propeller, Surface
+from .effect import ACTUATORS, Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
 from .symbols import DOFS
 from .units import PULSES, si_of
@@ -457,8 +457,6 @@ SURFACE_KEYS = {"lift_coefficient": "C_N", "drag_coefficient": "C_D"}
 SURFACE_KEYS |= {key: key for key in (*_IN_THE_FLOW, "lag", "rate")}
 # By name: a rudder turns the bow of a vehicle that goes ahead to starboard, a stern plane brings it down.
 _AXES = {"rudder": (0.0, 0.0, -1.0), "stern_plane": (0.0, 1.0, 0.0)}
-# How far an axis may miss a unit vector across the x axis, and is then a rounded one.
-_ROUNDED = 1e-3
 
 
 def surface_of(table: SurfaceTable, thrusters: Iterable[str]) -> Surface:
@@ -484,7 +482,7 @@ def _axis(place: str, stated: Any) -> tuple[float, float, float]:
         return _AXES[stated]
     a, b, c = _numbers(f"{place} axis", stated)
     length = math.hypot(b, c)
-    if abs(a) > _ROUNDED or abs(length - 1) > _ROUNDED:
+    if abs(a) > ACTUATORS.axis_error or abs(length - 1) > ACTUATORS.axis_error:
         raise UndertowError(
             f"{place}: axis is {[a, b, c]}: give a unit vector across the x axis, as [0, 0, -1]"
         )

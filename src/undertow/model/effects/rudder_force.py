@@ -2,7 +2,7 @@
 
 import sympy as sm
 
-from undertow.model.effect import THRUSTERS, PerThruster, Signals, Wrench
+from undertow.model.effect import ACTUATORS, PerThruster, Signals, Wrench
 
 
 class RudderForce(Wrench):
@@ -33,4 +33,4 @@ class RudderForce(Wrench):
         """1 for a command across the hull, or of unknown direction; directions are rounded in files."""
         if not ahead.is_number:
             return int(not ahead.is_nonzero)
-        return int(abs(float(ahead)) < THRUSTERS.largest_part_ahead)
+        return int(abs(float(ahead)) < ACTUATORS.largest_part_ahead)
