@@ -92,3 +92,11 @@ def test_an_effect_that_feeds_energy_in_is_found() -> None:
     vehicle = load_vehicle("mini-auv")
     broken = vehicle.with_values({"X_uabsu_forward": Value(50.0)})
     assert "quadratic_damping" in wrong(broken)
+
+
+def test_the_largest_ships_are_not_accused_of_rounding() -> None:
+    """Coriolis forces of 3e10 kg are powers that cancel to microwatts."""
+    vehicle = load_vehicle("kvlcc2")
+    inertial = [n for n in vehicle.parameter_names if n.endswith("dot") or n in ("m", "I_z")]
+    larger = vehicle.with_values({n: Value(1e7 * vehicle.value_of(n).value) for n in inertial})
+    assert wrong(larger) == wrong(vehicle) == []

@@ -290,10 +290,12 @@ def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
     for effect in vehicle.effects:
         if not isinstance(effect, Wrench) or not (effect.workless or effect.dissipative):
             continue
-        values = _at_random(powers[effect.id], vehicle)
-        values = values[np.isfinite(values)]
-        limit = SETTINGS.rounding * max(1.0, float(np.abs(values).max(initial=0.0)))
-        if effect.workless and np.abs(values).max(initial=0.0) > SETTINGS.rounding * 1e3:
+        terms = _terms_at_random(powers[effect.id], vehicle)
+        terms = terms[:, np.isfinite(terms).all(axis=0)]
+        values = terms.sum(axis=0)
+        # Rounding of a sum grows with its terms, which are large where they cancel in a large ship.
+        limit = SETTINGS.rounding * max(1.0, float(np.abs(terms).sum(axis=0).max(initial=0.0)))
+        if effect.workless and np.abs(values).max(initial=0.0) > limit:
             worst = float(values[np.abs(values).argmax()])
             yield Discrepancy(
                 WRONG, effect.id, "claims to do no work but does", f"{worst:.4g} W at a random state"
@@ -307,14 +309,13 @@ def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
             )
 
 
-def _at_random(power: sm.Expr, vehicle: Vehicle) -> Array:
+def _terms_at_random(power: sm.Expr, vehicle: Vehicle) -> Array:
+    """Terms of a power at random states, W, shape (terms, states)."""
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
-    filled = power.xreplace(known)
-    names = sorted(filled.free_symbols, key=str)
-    if not names:
-        return np.array([float(filled)])
+    terms = [sm.sympify(term).xreplace(known) for term in sm.Add.make_args(power)]
+    names = sorted(set().union(*(term.free_symbols for term in terms)), key=str)
+    count = SETTINGS.random_states
     generator = np.random.default_rng(SETTINGS.seed)
-    function = function_of(names, filled, "numpy")
     with np.errstate(all="ignore"):
-        found = function(*generator.uniform(-1.0, 1.0, (len(names), SETTINGS.random_states)))
-    return np.atleast_1d(np.asarray(found, dtype=float))
+        found = function_of(names, terms, "numpy")(*generator.uniform(-1.0, 1.0, (len(names), count)))
+    return np.array([np.broadcast_to(np.asarray(term, dtype=float), count) for term in found])
