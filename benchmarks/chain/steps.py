@@ -18,7 +18,7 @@ FLIGHTS = {"run1": "8,1,1,0", "run2": "1,8,0,0", "run3": "-6,-6,1,1", "run4": "-
 """Set-points of the flights that are logged; the last one is for validation."""
 MISSION = "four-legs.toml"
 GOAL = ["--to", "2,1,1,0", "--for", "240", "--dt", "0.02", "--log", "0.2"]
-LOGS = ["run1.csv", "run2.csv", "run3.csv", "--holdout", "run4.csv"]
+LOGS = ["run1.csv", "run2.csv", "run3.csv", "--validation", "run4.csv"]
 
 
 class Chain(Shell):

@@ -47,7 +47,7 @@ class Judged:
 
     def words(self, command: str, *first: str) -> list[str]:
         """The command line behind `undertow`."""
-        held = ["--holdout", *(f"{DATA}/{name}" for name in self.holdout)] if self.holdout else []
+        held = ["--validation", *(f"{DATA}/{name}" for name in self.holdout)] if self.holdout else []
         logs = [f"{DATA}/{name}" for name in self.logs]
         return [command, *first, self.vehicle, *logs, *held, *self.options()]
 

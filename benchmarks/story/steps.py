@@ -14,7 +14,7 @@ LAG = 0.6
 """Time constant of the thrusters of the true vehicle, s: what the tank cannot know."""
 TRIALS = {"trial1": "4,1,1,0.5", "trial2": "1,-3,-0.5,-1", "trial3": "-4,2,1,1.5", "trial4": "-3,-3,0.5,-0.8"}
 """Set-points of the flights of the sea trial; the last one is for validation."""
-LOGS = ["trial1.csv", "trial2.csv", "trial3.csv", "--holdout", "trial4.csv"]
+LOGS = ["trial1.csv", "trial2.csv", "trial3.csv", "--validation", "trial4.csv"]
 GOAL = ["--to", "0.15,0.1,0.1,0.1", "--for", "60", "--dt", "0.02", "--log", "0.1"]
 HULL = ["--mesh", "hull.stl", "--mass", "7.5", "--dof", "surge,sway,heave,yaw", "--panels", "1600"]
 FIRST = ["--error", "x=0.2,y=0.2,z=0.1,psi=0.1", "--force", "surge=4,sway=4,heave=4,yaw=0.5"]

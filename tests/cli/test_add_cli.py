@@ -18,7 +18,7 @@ from undertow.model.parameter import printed
 from .bad import contents
 
 Capture = pytest.CaptureFixture[str]
-LOGS = ["train.csv", "--holdout", "holdout.csv"]
+LOGS = ["train.csv", "--validation", "holdout.csv"]
 
 
 #: Friction that is not there: to the last digit of the logs, its fit ends in one of two minima.

@@ -109,7 +109,7 @@ def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
     "method", first_quick(["weak", "output-error", "integral", "instrumental", "prediction-error"], 2)
 )
 def test_fit_writes_what_it_found(case: Path, capsys: pytest.CaptureFixture[str], method: str) -> None:
-    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", method, "--out", "new.toml", "--force"]
+    words = ["fit", *LOG, "--validation", "holdout.csv", "--method", method, "--out", "new.toml", "--force"]
     assert main(words) == 0
     out = "\n".join(_lines(capsys))
     assert "condition number" in out
@@ -139,7 +139,8 @@ def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     assert (
-        main(["fit", *LOG, "--holdout", "holdout.csv", "--correlation", "--out", "new.toml", "--force"]) == 0
+        main(["fit", *LOG, "--validation", "holdout.csv", "--correlation", "--out", "new.toml", "--force"])
+        == 0
     )
     lines = _lines(capsys)
     covariance = tomllib.loads(Path("new.toml").read_text())["history"][0]["covariance"]
@@ -153,7 +154,7 @@ def test_fit_prints_the_correlation_matrix_that_its_covariance_has(
 
 def test_fit_in_place_changes_the_file(case: Path) -> None:
     old = load_vehicle("usv.toml")
-    assert main(["fit", *LOG, "--holdout", "holdout.csv", "--in-place", "--force"]) == 0
+    assert main(["fit", *LOG, "--validation", "holdout.csv", "--in-place", "--force"]) == 0
     assert load_vehicle("usv.toml").value_of("Y_v").value != old.value_of("Y_v").value
 
 
@@ -184,14 +185,15 @@ def test_an_unknown_method_is_refused(case: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "meant"),
     [
-        ("v a --holdout b c --out o", "v a --holdout b --holdout c --out o"),
-        ("v a --holdout b --holdout c d", "v a --holdout b --holdout c --holdout d"),
-        ("v a --holdout b --out o c", "v a --holdout b --out o c"),
-        ("v a --holdout b -- c", "v a --holdout b -- c"),
+        ("v a --validation b c --out o", "v a --validation b --validation c --out o"),
+        ("v a --validation b --validation c d", "v a --validation b --validation c --validation d"),
+        ("v a --validation b --out o c", "v a --validation b --out o c"),
+        ("v a --validation b -- c", "v a --validation b -- c"),
+        ("v a --holdout b c", "v a --holdout b --holdout c"),
         ("v a --in-place", "v a --in-place"),
     ],
 )
-def test_every_log_after_holdout_is_kept_aside(words: str, meant: str) -> None:
+def test_every_log_after_the_option_is_for_validation(words: str, meant: str) -> None:
     assert each_named(words.split()) == meant.split()
 
 
@@ -199,7 +201,7 @@ def test_every_log_after_holdout_is_kept_aside(words: str, meant: str) -> None:
 def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
     rows = (case / "holdout.csv").read_text().splitlines(keepends=True)
     (case / "more.csv").write_text("".join(rows[:300]))
-    assert main(["fit", *LOG, "--force", "--out", "new.toml", "--holdout", "holdout.csv", "more.csv"]) == 0
+    assert main(["fit", *LOG, "--force", "--out", "new.toml", "--validation", "holdout.csv", "more.csv"]) == 0
     logs = tomllib.loads(Path("new.toml").read_text())["history"][0]["logs"]
     assert [(log["name"], log["role"]) for log in logs] == [
         ("train", "train"),
@@ -210,7 +212,7 @@ def test_two_logs_kept_aside_are_both_kept_aside(case: Path) -> None:
 
 @pytest.mark.slow
 def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["fit", *LOG, "--holdout", "holdout.csv", "--equal", "Y_vdot = 1.5 X_udot", "--dissipative"]
+    words = ["fit", *LOG, "--validation", "holdout.csv", "--equal", "Y_vdot = 1.5 X_udot", "--dissipative"]
     assert main([*words, "--out", "new.toml", "--force"]) == 0
     out = "\n".join(_lines(capsys))
     assert "tied to X_udot" in out
@@ -225,7 +227,7 @@ def test_an_equality_is_fitted_told_and_written(case: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
-    words = [*LOG, "--holdout", "holdout.csv"]
+    words = [*LOG, "--validation", "holdout.csv"]
     chosen = ["--method", "output-error", "--horizon", "2.5"]
     assert main(["fit", *words, *chosen, "--out", "new.toml", "--force"]) == 0
     reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
@@ -240,7 +242,7 @@ def test_the_command_of_the_history_fits_the_same_again(case: Path) -> None:
 def test_a_robust_loss_is_one_of_output_error_and_the_weak_form(
     case: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["fit", *LOG, "--holdout", "holdout.csv", "--loss", "huber"]
+    words = ["fit", *LOG, "--validation", "holdout.csv", "--loss", "huber"]
     assert main([*words, "--method", "output-error", "--out", "new.toml", "--force"]) == 0
     reported = tomllib.loads(Path("new.toml").read_text())["history"][0]
     assert reported["command"] == "undertow fit --method output-error --loss huber"
@@ -252,7 +254,7 @@ def test_a_fit_that_predicts_worse_is_not_written_without_force(
     case: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(p.name for p in case.iterdir())
-    words = ["fit", *LOG, "--holdout", "holdout.csv", "--method", "weak", "--json", "fit.json"]
+    words = ["fit", *LOG, "--validation", "holdout.csv", "--method", "weak", "--json", "fit.json"]
     assert main([*words, "--out", "new.toml"]) == 1
     out, err = capsys.readouterr()
     assert sorted(p.name for p in case.iterdir()) == sorted([*before, "fit.json"])

@@ -101,7 +101,7 @@ def test_a_diagnosis_of_smoothed_velocities_names_the_hidden_current(tmp_path: P
         assert main(["observe", vehicle, str(tmp_path / f"{name}.csv"), "--out", smoothed[name]]) == 0
     capsys.readouterr()
     *fitted, kept = smoothed.values()
-    assert main(["diagnose", vehicle, *fitted, "--holdout", kept]) == 0
+    assert main(["diagnose", vehicle, *fitted, "--validation", kept]) == 0
     assert "Missing: ocean_current" in " ".join(capsys.readouterr().out.split())
 
 

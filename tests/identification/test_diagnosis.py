@@ -151,7 +151,7 @@ def test_pieces_are_cut_from_what_was_recorded_and_not_from_a_pause() -> None:
 
 def test_a_run_too_short_to_be_cut_is_refused() -> None:
     t = np.arange(0.0, 0.55, 0.1)
-    with pytest.raises(UndertowError, match=r"run 'a' has 6 samples, too few .* --holdout"):
+    with pytest.raises(UndertowError, match=r"run 'a' has 6 samples, too few .* --validation"):
         split_into_pieces([Run("a", t, {"u": np.sin(t)})])
 
 

@@ -174,7 +174,7 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     assert "(200 %): undertow doctor finds no mistake in the logs, so check" in summarised(looked_at).headline
     command = next_command(found, LINE)
     assert shlex.split(command) == [
-        *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--holdout", "c.csv"),
+        *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--validation", "c.csv"),
         *("--map", "log.toml", "--trust-log", "--out", "my rov-lift.toml"),
     ]
 

@@ -46,7 +46,7 @@ def test_the_least_number_of_samples_is_that_of_the_method(
 
 
 def test_pieces_that_are_too_short_tell_to_give_a_run_for_validation() -> None:
-    with pytest.raises(UndertowError, match=r"longer stretch, or a run for validation, .* \(--holdout\)"):
+    with pytest.raises(UndertowError, match=r"longer stretch, or a run for validation, .* \(--validation\)"):
         Estimator("weak", None).fit(VEHICLE, [replace(first(20), part_of="whole")])
 
 

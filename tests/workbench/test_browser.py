@@ -207,7 +207,7 @@ def _asked_nobody_else(user: Browser) -> None:
 def test_the_story_from_the_error_map_to_the_saved_vehicle(place: Workspace) -> None:
     """On a session that was worked out already: a reload shows it, and it goes on from there."""
     folder = place.folder.parent
-    logs = [str(DEMO / LOGS[0]), "--holdout", str(DEMO / HOLDOUT)]
+    logs = [str(DEMO / LOGS[0]), "--validation", str(DEMO / HOLDOUT)]
     with _server(folder, "vehicle.toml", *logs, "--session", "kept") as address, _browser() as user:
         user.driver.get(address)
         user.sees("1200 samples, 59.95 s")
@@ -241,7 +241,7 @@ def test_the_story_from_the_start(tmp_path: Path) -> None:
     """Everything is worked out by buttons, with the whole catalogue."""
     for name in ("vehicle.toml", *LOGS, HOLDOUT):
         shutil.copy(DEMO / name, tmp_path)
-    logs = [*LOGS, "--holdout", HOLDOUT]
+    logs = [*LOGS, "--validation", HOLDOUT]
     with _server(tmp_path, "vehicle.toml", *logs) as address, _browser() as user:
         user.driver.get(address)
         user.click("Examine the logs")

@@ -297,7 +297,7 @@ def test_out_gives_the_command_lines(place: Workspace, monkeypatch: pytest.Monke
     async def story(user: User, bench: Bench) -> None:
         await user.open(f"/?token={TOKEN}&page=out")
         said = _texts(user)
-        logs = f"{DEMO / 'train_1.csv.gz'} --holdout {DEMO / 'holdout.csv.gz'}"
+        logs = f"{DEMO / 'train_1.csv.gz'} --validation {DEMO / 'holdout.csv.gz'}"
         assert f"undertow diagnose vehicle.toml {logs} --json diagnosis.json" in said
         assert f"undertow add lift vehicle.toml {logs} --out model-1.toml" in said
         assert "undertow export c model-1.toml" in said

@@ -24,7 +24,7 @@ from undertow.version import __version__
 
 from ._terminal import repeated_interrupts
 
-_TAKING_SEVERAL = {"--holdout"}
+_TAKING_SEVERAL = {"--validation", "--holdout"}
 # Commands that stand in the file of another one, which is about the same; their help is the function's.
 _IN_FILE_OF = {"audit-tables": "audit"}
 
@@ -68,7 +68,7 @@ class LazyCommand(TyperCommand):
 
 
 def each_named(words: Sequence[str]) -> list[str]:
-    """``--holdout a b`` as ``--holdout a --holdout b``: no log may slip in among those to fit."""
+    """``--validation a b`` as ``--validation a --validation b``: no log may slip in among those to fit."""
     result: list[str] = []
     option = ""
     for i, word in enumerate(words):

@@ -442,7 +442,7 @@ def commands(place: Workspace) -> list[str]:
     session, found, name, own = place.session, list[str](), shown_path(place.session.vehicle), list[str]()
     for step in session.steps:
         if step.command:
-            found.append(place.line(name, own).with_holdout(step.command.split(), "--out", step.file))
+            found.append(place.line(name, own).with_validation(step.command.split(), "--out", step.file))
         elif step.file:
             found.append(f"# edit {shlex.quote(name)}: {step.what}; save it as {step.file}")
         name = step.file or name
@@ -456,7 +456,7 @@ def commands(place: Workspace) -> list[str]:
 def _asked(task: str, effect: str, line: CommandLine) -> str:
     """The command that asks what a button asked."""
     if task == "diagnose":
-        return line.with_holdout(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")
+        return line.with_validation(["diagnose"], "--json", "diagnosis.json", "--report", "report.html")
     if task == "invent":
         return f"undertow effects new {effect} --from diagnosis.json"
     return line.on_logs([{"examine": "doctor"}.get(task, task)])

@@ -81,8 +81,14 @@ LogsArgument = Annotated[
         callback=ordered_logs,
     ),
 ]
-HoldoutOption = Annotated[
-    list[Path] | None, typer.Option(metavar="LOG", help="Logs for validation, up to the next option.")
+ValidationOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--validation",
+        "--holdout",
+        metavar="LOG",
+        help="Logs for validation, up to the next option.",
+    ),
 ]
 MapOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Mapping file: columns, units and frames of the logs.")
@@ -105,7 +111,7 @@ class Loaded(NamedTuple):
 
     vehicle: Vehicle
     runs: list[Run]
-    holdout: list[Run]
+    validation: list[Run]
     chosen: Chosen | None = None  # where the logs were too long, which segments of them these are
     field_logs: Sequence[FieldLog] = ()  # those that are as a vehicle wrote them
 
@@ -181,7 +187,7 @@ class ReadOptions:
         self,
         vehicle: str,
         logs: Sequence[Path],
-        holdout: Sequence[Path] | None = None,
+        validation: Sequence[Path] | None = None,
         *,
         to_fit: bool = False,
         in_any_order: bool = False,
@@ -207,11 +213,11 @@ class ReadOptions:
             if out is not None:
                 rewritten(model, vehicle, out)
         opened: FieldLogs = {}
-        paths = [*logs, *(holdout or ())]
+        paths = [*logs, *(validation or ())]
         meanings = [self.meaning(path, model) for path in paths]
         if budget is not None and not any(m.held for m in meanings if m is not None):
             taken = self._of_any_length(
-                model, logs, holdout or (), budget, opened, to_fit=to_fit, in_any_order=in_any_order
+                model, logs, validation or (), budget, opened, to_fit=to_fit, in_any_order=in_any_order
             )
             if taken is not None:
                 return taken._replace(field_logs=tuple(opened.values()))
@@ -239,7 +245,7 @@ class ReadOptions:
         self,
         model: Vehicle,
         logs: Sequence[Path],
-        holdout: Sequence[Path],
+        validation: Sequence[Path],
         budget: Budget,
         opened: FieldLogs,
         *,
@@ -249,19 +255,19 @@ class ReadOptions:
         """Stretches of logs that are too long; None where they are not. Vehicles' own logs are `opened`."""
         from undertow.identification.long_logs import choosing
 
-        with progress("reading logs", total=len(logs) + len(holdout)) as report:
-            work, validation = (
+        with progress("reading logs", total=len(logs) + len(validation)) as report:
+            work, held = (
                 self.in_parts(model, paths, opened, report, in_any_order=in_any_order, required=True)
-                for paths in (logs, holdout)
+                for paths in (logs, validation)
             )
-        long = [*work, *validation]
+        long = [*work, *held]
         most = budget.whole
         if not to_fit:
             most = choosing.CUTTING.whole_cells // (1 + 2 * len(model.dof_indices) + len(model.command_names))
         with progress("reading logs") as report:
             if choosing.too_long(long, most):
                 _print_notes({str(log.path): log.reader_notes for log in long})
-                chosen = choosing.choose(model, work, validation, budget, report)
+                chosen = choosing.choose(model, work, held, budget, report)
                 runs = choosing.at_full_rate(chosen, long) if budget.raw else chosen.runs
                 return Loaded(model, runs, chosen.validation, chosen)
             if choosing.beyond_memory(long):
@@ -324,7 +330,11 @@ class LogOptions(ReadOptions):
         return {"--map": self.map, "--from": self.since, "--to": self.until, "--fill": self.fill}
 
     def line(
-        self, vehicle: str, logs: Sequence[Path], holdout: Sequence[Path] | None, written: Path | None = None
+        self,
+        vehicle: str,
+        logs: Sequence[Path],
+        validation: Sequence[Path] | None,
+        written: Path | None = None,
     ) -> CommandLine:
         """What a command named, for the command that it proposes; `written` is the JSON of a diagnosis."""
         from undertow.identification.report.sentences import CommandLine
@@ -332,8 +342,8 @@ class LogOptions(ReadOptions):
         pairs = [*self._named.items(), *(("--effects", path) for path in self.effects or ())]
         options = [str(word) for name, value in pairs if value is not None for word in (name, value)]
         options += ["--trust-log"] if self.trust_log else []
-        kept, validation = (tuple(map(str, paths or ())) for paths in (logs, holdout))
-        return CommandLine(vehicle, kept, validation, tuple(options), str(written or ""))
+        kept, held = (tuple(map(str, paths or ())) for paths in (logs, validation))
+        return CommandLine(vehicle, kept, held, tuple(options), str(written or ""))
 
 
 @dataclass(frozen=True)

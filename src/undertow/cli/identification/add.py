@@ -1,11 +1,11 @@
 """Add effects to a vehicle file, refit, regenerate the code, and show the error before and after.
 
 The effect is added to the model, all parameters marked as estimated are refitted with it, and both models are
-evaluated on validation data: the logs given with --holdout, or segments of the logs if none is given.
+evaluated on validation data: the logs given with --validation, or segments of the logs if none is given.
 Parameters of the effect that turn out to be zero are left out (--all keeps them). Several effects, with
 commas between them, are added one by one.
 
-    undertow add ocean_current rov.toml run1.csv run2.csv --holdout run3.csv --out better.toml
+    undertow add ocean_current rov.toml run1.csv run2.csv --validation run3.csv --out better.toml
     undertow add rudder_drag,hull_cubic ship.toml run1.csv run2.csv --out better.toml
 
 Without --out or --in-place, nothing is written. If the error on validation data is not lowered, nothing is
@@ -24,7 +24,7 @@ from undertow.errors import listed
 
 from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of, words
 from .._terminal import progress, say, section, table
-from ._logs import HoldoutOption, LogOptions, LogsArgument, refuse_vehicle_as_effect, say_long
+from ._logs import LogOptions, LogsArgument, ValidationOption, refuse_vehicle_as_effect, say_long
 
 if TYPE_CHECKING:
     from undertow.codegen.manifest import Report
@@ -44,7 +44,7 @@ def add(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     options: LogOptions,
-    holdout: HoldoutOption = None,
+    validation: ValidationOption = None,
     out: OutOption = None,
     in_place: InPlaceOption = False,
     all: Annotated[
@@ -65,11 +65,11 @@ def add(
     refuse_vehicle_as_effect(effect, vehicle, known)
     for name in effects:
         lookup(name, known)  # before any log is read
-    read = [*logs, *(holdout or []), *options.files]
+    read = [*logs, *(validation or []), *options.files]
     target = target_of(vehicle, out, in_place, picture, json, inputs=read)
     if target is not None and codegen:
         check_folder(build)
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, budget=FIT, out=target)
+    loaded = options.load(vehicle, logs, validation, to_fit=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     with progress("fitting the model as given") as report:
         setup, addition = try_effect(

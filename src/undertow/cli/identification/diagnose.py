@@ -1,7 +1,7 @@
 """Find which physical effect a model lacks, and write it to a new vehicle file.
 
 Every effect in the catalogue is added to the model in turn, and the model is refitted. It is the error on
-validation data that counts: the logs given with --holdout, or segments of the logs if none is given. The
+validation data that counts: the logs given with --validation, or segments of the logs if none is given. The
 answer is one of: nothing is missing (adequate), a missing effect with its parameters (missing_effect), a set
 of effects that these data cannot tell apart (indistinguishable, or not_identifiable if there are many), an
 effect that improves predictions without being established as the cause (helps_prediction), or unexplained.
@@ -23,7 +23,7 @@ name.
 On Linux all cores share the work, which does not change the result; UNDERTOW_JOBS=1 in the environment uses
 one core.
 
-    undertow diagnose rov.toml run1.csv run2.csv --holdout run3.csv --report report.html --apply better.toml
+    undertow diagnose rov.toml run1.csv run2.csv --validation run3.csv --report page.html --apply better.toml
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ import typer
 
 from .._options import JsonFileOption, VehicleArgument, bundled
 from .._terminal import console, progress, say, section, show_finding, table, text
-from ._logs import HoldoutOption, LogsArgument, RigOptions, of_experiment, say_long
+from ._logs import LogsArgument, RigOptions, ValidationOption, of_experiment, say_long
 
 if TYPE_CHECKING:
     from undertow.identification.diagnose import DiagnosisResult, Experiment
@@ -71,7 +71,7 @@ def diagnose(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     options: RigOptions,
-    holdout: HoldoutOption = None,
+    validation: ValidationOption = None,
     false_alarms: Annotated[float, _FALSE_ALARMS] = 0.01,
     worth: Annotated[float, _WORTH] = 0.1,
     json: JsonFileOption = None,
@@ -84,14 +84,14 @@ def diagnose(
     from undertow.identification.long_logs.choosing import SEARCH
 
     settings = Settings(false_alarm_rate=false_alarms, worth=worth)
-    check_writable(json, report, apply, inputs=[vehicle, *logs, *(holdout or []), *options.files])
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=SEARCH, out=apply)
-    parts = experiments(loaded.vehicle, loaded.runs, loaded.holdout)
-    rig = on_rig(loaded.vehicle, [*loaded.runs, *loaded.holdout])
+    check_writable(json, report, apply, inputs=[vehicle, *logs, *(validation or []), *options.files])
+    loaded = options.load(vehicle, logs, validation, to_fit=True, on_rig=True, budget=SEARCH, out=apply)
+    parts = experiments(loaded.vehicle, loaded.runs, loaded.validation)
+    rig = on_rig(loaded.vehicle, [*loaded.runs, *loaded.validation])
     written: list[tuple[DiagnosisResult, Path | None, Path | None]] = []
     for part in parts:
         own = partial(of_experiment, name=part.name if len(parts) > 1 else "")
-        line = options.line(vehicle, logs, holdout, own(json))
+        line = options.line(vehicle, logs, validation, own(json))
         outcome = _diagnosed(part, loaded, line, settings, options)
         if rig:
             say(str(part), "bold")

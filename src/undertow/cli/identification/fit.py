@@ -9,7 +9,7 @@ with the parameters; or instrumental variables, which remove the bias that noisy
 form, with regressors from the simulated motion. Every value comes with its standard error. Values that the
 logs do not determine, or that are far from the stated ones, are reported.
 
-    undertow fit rov.toml run1.csv run2.csv --holdout run3.csv --method output-error --out fitted.toml
+    undertow fit rov.toml run1.csv run2.csv --validation run3.csv --method output-error --out fitted.toml
 
 If sensors have outliers, --loss huber or student-t limits their influence (for output error; the weak form
 drops samples that differ from their neighbours).
@@ -29,7 +29,7 @@ form an experiment, which is fitted separately; the results are combined in one 
     undertow fit rov.toml surge.csv heave.csv yaw.csv --held unlogged --out fitted.toml
 
 Without --map, a mapping file with the name of a log (surge.toml next to surge.csv) is used for that log.
-Without --holdout, segments of the logs are used for validation. Without --out or --in-place, nothing is
+Without --validation, segments of the logs are used for validation. Without --out or --in-place, nothing is
 written. If the refitted model predicts validation data worse than the model as given, no vehicle file is
 written and the exit code is 1; --force writes it anyway.
 """
@@ -43,7 +43,7 @@ import typer
 
 from .._options import InPlaceOption, JsonFileOption, OutOption, VehicleArgument, bundled, target_of
 from .._terminal import console, progress, say, section, table, text, write_files
-from ._logs import HoldoutOption, LogsArgument, RigOptions, of_experiment, say_long
+from ._logs import LogsArgument, RigOptions, ValidationOption, of_experiment, say_long
 
 if TYPE_CHECKING:
     from undertow.identification.api import Refit
@@ -68,7 +68,7 @@ def fit(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     options: RigOptions,
-    holdout: HoldoutOption = None,
+    validation: ValidationOption = None,
     method: Annotated[
         Literal["default", "weak", "integral", "instrumental", "output-error", "prediction-error"], _METHOD
     ] = "default",
@@ -87,9 +87,9 @@ def fit(
     from undertow.identification.diagnose import experiments, on_rig
     from undertow.identification.long_logs.choosing import FIT
 
-    read = [*logs, *(holdout or []), *options.files]
+    read = [*logs, *(validation or []), *options.files]
     target = target_of(vehicle, out, in_place, json, inputs=read)
-    loaded = options.load(vehicle, logs, holdout, to_fit=True, on_rig=True, budget=FIT, out=target)
+    loaded = options.load(vehicle, logs, validation, to_fit=True, on_rig=True, budget=FIT, out=target)
     model, train, test, _, _ = loaded
     parts = experiments(model, train, test)  # one, of the vehicle itself, where no rig holds a motion
     fits = []
@@ -112,7 +112,7 @@ def fit(
     for part, done in zip(parts, fits, strict=True):
         if rig:
             say(str(part), "bold")
-        show(done, options.line(vehicle, logs, holdout))
+        show(done, options.line(vehicle, logs, validation))
         if correlation:
             show_correlation(done.fit)
     together = combine_fits(model, fits)

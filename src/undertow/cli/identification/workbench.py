@@ -5,7 +5,7 @@ changes the error, and the parameters; buttons add and undo effects. The session
 (VEHICLE.workbench, or that of --session), with the vehicle files made on the way, and resumed at the next
 start.
 
-    undertow workbench rov.toml run1.csv run2.csv --holdout run3.csv
+    undertow workbench rov.toml run1.csv run2.csv --validation run3.csv
 
 The page is served on this machine only (127.0.0.1), at an address with a token that is printed; requests
 without it are refused, and nothing is fetched from outside. It needs NiceGUI: pip install
@@ -21,7 +21,7 @@ import typer
 
 from .._options import VehicleArgument, bundled
 from .._terminal import progress, say
-from ._logs import HoldoutOption, LogOptions, LogsArgument
+from ._logs import LogOptions, LogsArgument, ValidationOption
 
 _SESSION = typer.Option(metavar="FOLDER", help="Folder for the session.")
 _BROWSER = typer.Option("--browser/--no-browser", help="Open the page in the browser.")
@@ -32,7 +32,7 @@ def workbench(
     vehicle: VehicleArgument,
     logs: LogsArgument,
     options: LogOptions,
-    holdout: HoldoutOption = None,
+    validation: ValidationOption = None,
     session: Annotated[Path | None, _SESSION] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")] = 8080,
     browser: Annotated[bool, _BROWSER] = True,
@@ -51,7 +51,7 @@ def workbench(
         vehicle=str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle,
         logs=[
             *(LogChoice.within(path.absolute(), "train", span) for path in logs),
-            *(LogChoice.within(path.absolute(), "judge", span) for path in holdout or []),
+            *(LogChoice.within(path.absolute(), "judge", span) for path in validation or []),
         ],
         effects=[str(path.absolute()) for path in options.effects or []],
         mapping="" if options.map is None else str(options.map.absolute()),

@@ -89,11 +89,11 @@ class Addition:
 
 
 def set_up_addition(
-    vehicle: Vehicle, runs: Runs, holdout: Runs = (), *, trust_log: bool = False
+    vehicle: Vehicle, runs: Runs, validation: Runs = (), *, trust_log: bool = False
 ) -> AdditionSetup:
     """Fit a model as given, and prepare to evaluate effects added to it."""
-    vehicle, runs, holdout = normalised(vehicle, runs, holdout)
-    train_runs, test_runs = training_and_validation(vehicle, runs, holdout, trust_log=trust_log)
+    vehicle, runs, validation = normalised(vehicle, runs, validation)
+    train_runs, test_runs = training_and_validation(vehicle, runs, validation, trust_log=trust_log)
     train = prepare(train_runs, vehicle)
     test = prepare(test_runs, vehicle, sigma=train.sigma)
     bench = open_bench(vehicle, train, test)

@@ -120,7 +120,7 @@ def split_into_pieces(runs: Sequence[Run], settings: Settings = DEFAULT) -> tupl
             raise UndertowError(
                 f"run {run.name!r} has {len(run.t)} samples, too few to set segments of it aside for "
                 f"validation (at least {settings.fewest_samples}): give longer logs, or a validation run "
-                "with --holdout"
+                "with --validation"
             )
     pieces = [(i, piece) for run in runs for i, piece in enumerate(_pieces(run, settings))]
     train = [piece for i, piece in pieces if i not in settings.validation_pieces]

@@ -523,7 +523,7 @@ def _too_short(runs: Sequence[Run], names: Sequence[str], family: Family) -> str
         )
         remedy = ", or measured velocities" if any(r.derived for r in runs) else ""
     if run.part_of:
-        remedy += ", or a run for validation, for which part of this one is set aside (--holdout)"
+        remedy += ", or a run for validation, for which part of this one is set aside (--validation)"
     return (
         f"too few samples without a gap for the {form}: the longest stretch has {longest} (of "
         f"{len(run.clock)} in '{run.name}'), and {needed} are needed ({step * (needed - 1):.3g} s{why}): "

@@ -159,7 +159,7 @@ class Chosen:
 def choose(
     vehicle: Vehicle,
     logs: Sequence[LongLog],
-    holdout: Sequence[LongLog] = (),
+    validation: Sequence[LongLog] = (),
     budget: Budget = FIT,
     progress: Progress = lambda done, words: None,
 ) -> Chosen:
@@ -167,11 +167,11 @@ def choose(
 
     The logs are read once, in parts. They are decimated to the rate that the vehicle's fastest time constant
     needs and cut into segments long enough for its slowest one. The segments with the largest determinant
-    of the information, equation by equation, are chosen until the budget is used up. Without `holdout`, and
-    where the budget has room for validation, one log in four is kept for validation, the last first; of a
-    single one every third part.
+    of the information, equation by equation, are chosen until the budget is used up. Without `validation`,
+    and where the budget has room for it, one log in four is kept for validation, the last first; of a single
+    one every third part.
     """
-    every = [*logs, *holdout]
+    every = [*logs, *validation]
     progress(0.0, "finding the bandwidth of the vehicle")
     found = band(vehicle, every)
     spools = _spooled(vehicle, every, found, progress)
@@ -179,18 +179,16 @@ def choose(
     samples = (budget.work // (found.factor if budget.raw else 1), budget.validation)
     cut = _cut(spools, found, samples[0])
     cut = cut[:: -(-len(cut) // min(CUTTING.most_segments, regressor.most_segments()))]
-    kept = _holdout_logs([log.path for log in logs], len(holdout), budget)
+    kept = _validation_logs([log.path for log in logs], len(validation), budget)
     progress(0.6, "computing the information of each segment")
     pools = _divided(cut, kept, budget)
     choices = [_chosen(regressor, pool, spools, n) for pool, n in zip(pools, samples, strict=True)]
     progress(0.95, "extracting segments")
     taken = [[pool[k] for k in choice.places] for pool, choice in zip(pools, choices, strict=True)]
     cut_out = [[spools[s.log].run(s.first, s.stop) for s in merged(own)] for own in taken]
-    runs, validation = (
-        [velocities_from_pose(run, vehicle.degrees_of_freedom) for run in own] for own in cut_out
-    )
+    runs, held = ([velocities_from_pose(run, vehicle.degrees_of_freedom) for run in own] for own in cut_out)
     result = _result(vehicle, spools, found, cut, kept, pools, choices)
-    return Chosen(vehicle, runs, validation, result, spools, [*taken[0], *taken[1]])
+    return Chosen(vehicle, runs, held, result, spools, [*taken[0], *taken[1]])
 
 
 def _spooled(vehicle: Vehicle, logs: Sequence[LongLog], found: Band, progress: Progress) -> list[Spool]:
@@ -218,12 +216,12 @@ def _cut(spools: Sequence[Spool], found: Band, budget: int) -> list[Segment]:
     return segments(spools, rows)
 
 
-def _holdout_logs(files: Sequence[Path], holdout: int, budget: Budget) -> set[int]:
+def _validation_logs(files: Sequence[Path], given: int, budget: Budget) -> set[int]:
     """Indices of the logs that are kept for validation as a whole; segments of one file stay together."""
     if not budget.validation:
         return set()
-    if holdout:
-        return set(range(len(files), len(files) + holdout))
+    if given:
+        return set(range(len(files), len(files) + given))
     from_last = {path: k for k, path in enumerate(dict.fromkeys(reversed(files)))}
     if len(from_last) == 1:
         return set()

@@ -298,7 +298,7 @@ def meaning(diagnosis: Diagnosis) -> Meaning:
         return found
     more = (
         "How the model does on another day: the validation data are blocks of the same runs, not whole "
-        "runs (give some with --holdout)."
+        "runs (give some with --validation)."
     )
     return replace(found, not_shown=(*found.not_shown, more))
 

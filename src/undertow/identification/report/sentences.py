@@ -29,18 +29,18 @@ class CommandLine:
 
     vehicle: str = "VEHICLE"  # vehicle file, or the name of a bundled one
     logs: tuple[str, ...] = ("LOG",)  # that were fitted to
-    holdout: tuple[str, ...] = ()  # logs for validation
+    validation: tuple[str, ...] = ()  # logs for validation
     options: tuple[str, ...] = ()  # how the logs are read, such as ("--map", "log.toml")
     json_file: str = ""  # the file with the result of a diagnosis, if one is written
 
-    def with_holdout(self, words: Sequence[str], *more: str) -> str:
+    def with_validation(self, words: Sequence[str], *more: str) -> str:
         """A command with the vehicle, the logs and the validation logs."""
-        holdout = ["--holdout", *self.holdout] if self.holdout else []
-        return self._undertow([*words, self.vehicle, *self.logs, *holdout, *self.options, *more])
+        validation = ["--validation", *self.validation] if self.validation else []
+        return self._undertow([*words, self.vehicle, *self.logs, *validation, *self.options, *more])
 
     def on_logs(self, words: Sequence[str], *more: str) -> str:
         """A command with the vehicle and all logs, without a distinction between them."""
-        return self._undertow([*words, self.vehicle, *self.logs, *self.holdout, *self.options, *more])
+        return self._undertow([*words, self.vehicle, *self.logs, *self.validation, *self.options, *more])
 
     def vehicle_file(self, part: str) -> str:
         """Name of a vehicle file derived from this one."""
@@ -317,16 +317,16 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
     if effects and not freed:
         # By itself `add` may refuse what the search, with all candidates, found to be a small improvement.
         force = ["--force"] if _fall(diagnosis) < DEFAULT.worth else []
-        return line.with_holdout(["add", ",".join(effects)], "--out", improved, *force)
+        return line.with_validation(["add", ",".join(effects)], "--out", improved, *force)
     if effects or freed:
-        return line.with_holdout(["diagnose"], "--apply", improved)
+        return line.with_validation(["diagnose"], "--apply", improved)
     if diagnosis.verdict == "adequate":
-        return line.with_holdout(["fit"], "--out", line.vehicle_file("fitted"))
+        return line.with_validation(["fit"], "--out", line.vehicle_file("fitted"))
     if _has_terms(diagnosis):
         make = "undertow effects new my_force --from "
         if line.json_file:
             return make + shlex.quote(line.json_file)
-        return f"{line.with_holdout(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
+        return f"{line.with_validation(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
     if diagnosis.verdict == "not_identifiable" and plannable:
         return line.on_logs(["plan"], "--out", "plan.csv")
     reading = tuple(o for o in line.options if o != "--trust-log")  # doctor refuses nothing
