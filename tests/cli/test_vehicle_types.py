@@ -235,6 +235,7 @@ def test_a_rudder_is_refused_without_a_speed_that_gives_it_force(capsys: Capture
     [
         ({"--height": "0.2"}, "is a block coefficient of 1.84 (possible: 0.1 to 0.98)"),
         ({"--mass": "0"}, "mass = 0 must be a positive number"),
+        ({"--beam": "9"}, "beam = 9 m exceeds length = "),
         ({"--length": None}, "--type ship lacks dimensions"),
         ({"--type": None}, "give the shape only once"),
         ({"--type": "boat"}, "boat"),

@@ -428,6 +428,10 @@ def _surface_craft(
 
     `low`, `high`: block coefficients that it may have.
     """
+    if size.beam > size.length:
+        raise UndertowError(
+            f"beam = {size.beam:g} m exceeds length = {size.length:g} m: length is along the vehicle, beam across"
+        )
     block = _block_coefficient(size)
     if not low <= block <= high:
         raise UndertowError(

@@ -372,16 +372,14 @@ def _has_terms(diagnosis: Diagnosis) -> bool:
 
 def _hardly_acts(diagnosis: Diagnosis, refitted: str) -> str:
     """The first sentence where an effect explains most of the residual force, but few predictions change."""
-
     found = (c for c in diagnosis.ranking if c.sure == "yes" and c.falls and c.share_of_error > 0.5)
     first = next((c for c in found if 0.0 <= max(c.falls.values()) < DEFAULT.worth), None)
     if first is None:
         return ""
     return (
-        f"No effect in the catalogue improves predictions enough to matter: {refitted}; {first.effect} "
-        f"lowers the residual from {first.error_before:.2g} to {first.error_after:.2g} times the noise, but "
-        f"no prediction error by more than {max(first.falls.values()):.0%}, too little to establish it: "
-        "record runs in which it would act more."
+        f"No effect in the catalogue improves predictions enough to matter: {refitted}; "
+        f"{_residual_lowered(first)}, but no prediction error by more than {max(first.falls.values()):.0%}, "
+        "too little to establish it: record runs in which it would act more."
     )
 
 
@@ -407,9 +405,12 @@ def _shows_too(diagnosis: Diagnosis) -> str:
     if best is None:
         return ""
     why = f": {best.not_named}" if best.not_named else ""
+    return f"; {_residual_lowered(best)}, by more than chance, but is not added{why}"
+
+
+def _residual_lowered(c: Ranked) -> str:
     return (
-        f"; {best.effect} lowers the residual from {best.error_before:.3g} to {best.error_after:.3g} times "
-        f"the noise, by more than chance, but is not added{why}"
+        f"{c.effect} lowers the residual from {c.error_before:.3g} to {c.error_after:.3g} times the noise"
     )
 
 
