@@ -430,7 +430,7 @@ def _surface_craft(
     """
     if size.beam > size.length:
         raise UndertowError(
-            f"beam = {size.beam:g} m exceeds length = {size.length:g} m: length is along the vehicle, beam across"
+            f"beam = {size.beam:g} m exceeds length = {size.length:g} m: length is along, beam across it"
         )
     block = _block_coefficient(size)
     if not low <= block <= high:

@@ -409,9 +409,7 @@ def _shows_too(diagnosis: Diagnosis) -> str:
 
 
 def _residual_lowered(c: Ranked) -> str:
-    return (
-        f"{c.effect} lowers the residual from {c.error_before:.3g} to {c.error_after:.3g} times the noise"
-    )
+    return f"{c.effect} lowers the residual from {c.error_before:.3g} to {c.error_after:.3g} times the noise"
 
 
 def _predicted(part: Predictability) -> str:
