@@ -125,6 +125,7 @@ class _Selector:
         self._gains: dict[str, PredictionGain] = {}
         self._rounds = list(found.rounds)
         self._later: list[FoundEffect] = []
+        self._slow: Round | None = None
 
     def run(self) -> Selection:
         """The effects; if the first is in doubt, it is reassessed with those found after it."""
@@ -211,11 +212,12 @@ class _Selector:
         return current, self._insignificant(current, graded)
 
     def _without_disturbance(self, current: Round) -> Round:
-        """The same candidates under sensor noise alone; if the search has tried them so, as it did."""
-        again = self._found.second_look
-        if again is not None and current is self._found.rounds[-1]:
-            return again
-        return try_all(current.bench.without_disturbance(), self._known, self._report_weak_form)
+        """The first candidates under sensor noise alone: tried once, here or in the search."""
+        if self._slow is None:
+            again = self._found.second_look if current is self._found.rounds[-1] else None
+            bench = current.bench.without_disturbance()
+            self._slow = again or try_all(bench, self._known, self._report_weak_form)
+        return self._slow
 
     def _insignificant(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate for prediction among those whose force is not significant.
