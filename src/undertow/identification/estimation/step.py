@@ -40,6 +40,13 @@ class StepSettings:
     infeasible: float = 1e-9
     # Standard error, in the SI unit, from which the data do not determine a parameter.
     undetermined: float = 1e12
+    # Relative distance, of values of at least the second number, SI, up to which a value is at its bound.
+    at_bound: float = 1e-9
+    least_size: float = 1e-6
+    # Added to the diagonal of scaled normal equations, whose entries are one, to keep them regular.
+    ridge: float = 1e-11
+    step_tolerance: float = 1e-12  # of the bounded step, in scaled parameters
+    bisections: int = 40  # of a step that would make the model unphysical: its share to 1e-12
 
 
 SETTINGS = StepSettings()
@@ -95,7 +102,7 @@ def at_bounds(model: WeakModel, p: Array) -> dict[str, float]:
     """Free parameters that are at a limit of what is physical, with that limit."""
     low, high = bounds_of(model)
     values = p[list(model.places)]
-    slack = 1e-9 * np.maximum(np.abs(values), 1e-6)
+    slack = SETTINGS.at_bound * np.maximum(np.abs(values), SETTINGS.least_size)
     below, above = values - low <= slack, high - values <= slack
     ends = np.where(below, low, high)
     return {n: float(e) for n, e, hit in zip(model.free, ends, below | above, strict=True) if hit}
@@ -277,7 +284,7 @@ def _shortened(model: WeakModel, p: Array, step: Array) -> Array:
     if limits.violated(p) or not limits.violated(limits.after_step(p, step)):
         return step
     good, bad = 0.0, 1.0
-    for _ in range(40):
+    for _ in range(SETTINGS.bisections):
         middle = (good + bad) / 2
         good, bad = (good, middle) if limits.violated(limits.after_step(p, middle * step)) else (middle, bad)
     return good * step
@@ -319,17 +326,24 @@ def _step(
     if not (np.isfinite(gram).all() and np.isfinite(slope).all()):
         return np.zeros(len(now))  # unbounded states have no finite gradient
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram * np.outer(scale, scale) + 1e-11 * np.eye(len(now))
-    factor = np.linalg.cholesky(scaled).T
-    target = np.linalg.solve(factor.T, -slope * scale)
+    scaled = gram * np.outer(scale, scale) + SETTINGS.ridge * np.eye(len(now))
+    factor = np.asarray(np.linalg.cholesky(scaled).T)
+    target = np.asarray(np.linalg.solve(factor.T, -slope * scale))
     low, high = ((b - now) / scale for b in bounds)
     if cuts:
         table = np.array([c.slope * scale for c in cuts])
         least = np.array([c.limit for c in cuts])
-        return _constrained(np.asarray(factor), np.asarray(target), low, high, table, least) * scale
+        return _constrained(factor, target, low, high, table, least) * scale
     if np.all(np.isinf(low)) and np.all(np.isinf(high)):
         return np.linalg.solve(factor, target) * scale
-    return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x * scale
+    return _bounded(factor, target, low, high) * scale
+
+
+def _bounded(factor: Array, target: Array, low: Array, high: Array) -> Array:
+    """Bounded least squares; bounds that coincide are a little apart, as SciPy requires."""
+    room = SETTINGS.step_tolerance
+    found = lsq_linear(factor, target, bounds=(low - room, high + room), method="bvls", tol=room)
+    return np.asarray(found.x)
 
 
 def normal_equations(at: Linearised, now: Array, prior: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -356,7 +370,7 @@ def _constrained(factor: Array, target: Array, low: Array, high: Array, table: A
     dual = np.vstack([G.T, h / reach])
     multiplier, rest = nnls(dual, np.append(np.zeros(len(target)), 1.0))
     if rest < SETTINGS.infeasible or np.max(h) <= 0.0:
-        return lsq_linear(factor, target, bounds=(low - 1e-12, high + 1e-12), method="bvls", tol=1e-12).x
+        return _bounded(factor, target, low, high)
     missing = dual @ multiplier
     missing[-1] -= 1.0
     return np.linalg.solve(factor, target - reach * missing[:-1] / missing[-1])

@@ -32,8 +32,12 @@ class WeakFormSettings:
     # Damping of a step (Levenberg-Marquardt) after a full one that raised the cost, and the largest tried.
     least_damping: float = 1e-3
     most_damping: float = 1e3
-    # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one.
+    rounding: float = 1e-12  # relative rise of the cost that is rounding
+    # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one, the
+    # power of that mean square by which each multiplies it, and limits of this factor.
     matching_steps: int = 4
+    matching_power: float = 1.5
+    matching_limits: tuple[float, float] = (0.02, 50.0)
     # Largest mean square of an equation that still counts as noise of the channels.
     noise_limit: float = 1.6
     # The same, up to which a fit without any disturbance may bring it down to that.
@@ -87,7 +91,8 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
     for _ in range(SETTINGS.matching_steps):
         square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
-        level = level * np.clip(np.nan_to_num(square, nan=1.0) ** 1.5, 0.02, 50.0)
+        factor = np.nan_to_num(square, nan=1.0) ** SETTINGS.matching_power
+        level = level * np.clip(factor, *SETTINGS.matching_limits)
     return np.asarray(level)
 
 
@@ -288,7 +293,7 @@ def _gauss_newton(
         if cost - predicted < max(SETTINGS.least_reduction, tolerance * squared(at.r)):
             break
         iteration += 1
-        limit, found = cost * (1 + 1e-12), None
+        limit, found = cost * (1.0 + SETTINGS.rounding), None
         while found is None and damping <= SETTINGS.most_damping:
             q = space.after_step(p, space.step(damped(at.r, at.J, damping), p) if damping else step)
             end = whitened(model.linearise(data, q), whitening)
