@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from math import ceil
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
@@ -79,7 +78,8 @@ class AutoregressiveNoise:
         return np.asarray(found / self.scale)
 
 
-class LinearWindows(NamedTuple):
+@dataclass(frozen=True)
+class LinearWindows:
     """All windows linearised at parameters p and starts, k samples of 2n channels each.
 
     The state of a window is its start, pose and velocity, and a slow disturbance of the n accelerations: 3n.
@@ -98,7 +98,23 @@ class LinearWindows(NamedTuple):
         error, defect = (
             np.concatenate([a[..., :1], columns(a[..., 1:])], axis=-1) for a in (self.error, self.defect)
         )
-        return self._replace(error=error, defect=defect)
+        return replace(self, error=error, defect=defect)
+
+    @classmethod
+    def joined(cls, parts: Sequence[LinearWindows]) -> LinearWindows:
+        """The windows of all parts, one after the other."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    @cached_property
+    def measured(self) -> list[tuple[Array, Array, Index]]:
+        """Of the measured samples of every window: `error`, `by_start` and their channels.
+
+        A search for the noise passes over the same windows many times.
+        """
+        count, size, columns = self.defect.shape
+        error, by_start = self.error.reshape(count, -1, columns), self.by_start.reshape(count, -1, size)
+        places = [np.flatnonzero(used) for used in self.used.reshape(count, -1)]
+        return [(error[j][own], by_start[j][own], own % self.used.shape[2]) for j, own in enumerate(places)]
 
 
 class ChainedWindows:
@@ -143,7 +159,7 @@ class ChainedWindows:
         for one, chained in self._by_run:
             part = chained._linearised(values.of_run(p, one.run), starts[one.rows])
             parts.append(part.expanded(partial(values.expanded, run=one.run)))
-        return LinearWindows(*(np.concatenate(same) for same in zip(*parts, strict=True)))
+        return LinearWindows.joined(parts)
 
     def _linearised(self, p: Array, starts: Array) -> LinearWindows:
         shooting, predictor = self._shooting, self._predictor
@@ -239,18 +255,14 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
     `last` (b,) marks windows at the end of a segment; `seconds` (b,) is the length of each.
     """
     count, size, columns = linear.defect.shape
-    channel_of = np.tile(np.arange(linear.used.shape[2]), linear.used.shape[1])
-    measured = [np.flatnonzero(used) for used in linear.used.reshape(count, -1)]
-    both = linear.error.reshape(count, -1, columns), linear.by_start.reshape(count, -1, size)
     drift = noise.intensity * seconds[:, None]
     whitened, logarithms, predicted, updated = [], [], [], []
     segment_start = True
-    for j, rows in enumerate(measured):
+    for j, (error, H, channels) in enumerate(linear.measured):
         if segment_start:
             mean, spread = np.zeros((size, columns)), np.diag(noise.initial_std**2)
         predicted.append((mean, spread))
-        error, H = (of[j][rows] for of in both)
-        white, gain, logarithm = _whitened(error + H @ mean, H, spread, noise.variance[channel_of[rows]])
+        white, gain, logarithm = _whitened(error + H @ mean, H, spread, noise.variance[channels])
         by_gain = gain.T @ np.concatenate([white, gain], axis=1)
         mean, spread = mean - by_gain[:, :columns], _symmetric(spread - by_gain[:, columns:])
         updated.append((mean, spread))
@@ -260,8 +272,8 @@ def filtered(linear: LinearWindows, last: Flags, seconds: Array, noise: Noise) -
         F = linear.by_end[j]
         mean, spread = linear.defect[j] + F @ mean, _symmetric(F @ spread @ F.T)
         spread.flat[:: size + 1] += drift[j]
-    window = np.repeat(np.arange(count), [len(rows) for rows in measured])
-    channel = channel_of[np.concatenate(measured)]
+    channels_of = [channels for _, _, channels in linear.measured]
+    window, channel = np.repeat(np.arange(count), [*map(len, channels_of)]), np.concatenate(channels_of)
     table, logarithm = np.concatenate(whitened), np.concatenate(logarithms)
     return Filtered(table, window, channel, logarithm, predicted, updated)
 
