@@ -107,8 +107,7 @@ NO_NUMBERS = {"casadi", "polars", "scipy.stats", *NO_PICTURES}
             ("export c mini-auv", NO_NUMBERS - {"casadi"}),
             (f"doctor {AUV / 'vehicle.toml'} {AUV / 'train_1.csv.gz'}", NO_PICTURES),
             ("linearize mini-auv", {"polars", "plotly", "undertow.identification"}),
-        ],
-        2,
+        ]
     ),
 )
 def test_a_command_spares_what_it_does_not_need(words: str, spared: set[str], tmp_path: Path) -> None:

@@ -193,12 +193,13 @@ def before(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
 
 
-def test_the_code_of_a_vehicle_is_old_or_new_file_by_file(older: Path, driver: Driver) -> None:
+@pytest.mark.parametrize("most", first_quick([3, 8]))
+def test_the_code_of_a_vehicle_is_old_or_new_file_by_file(older: Path, driver: Driver, most: int) -> None:
     words, check = "export c usv.toml --out out", "export c usv.toml --out out --check"
     whole, old = driver.run(older, words), before(older)
     assert whole.code == 0
     assert whole.after["out/usv/src/usv_vehicle.c"] != old["out/usv/src/usv_vehicle.c"]
-    for at in moments(whole.count, 8, seed=1):
+    for at in moments(whole.count, most, seed=1):
         killed = driver.run(older, words, [check, words], at=at)
         assert killed.code == KILLED, at
         assert not half_written(killed.after, old, whole.after), at

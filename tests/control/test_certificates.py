@@ -254,7 +254,7 @@ def saturated() -> GainSet:
     return law(weak, "pid", gains=gains)
 
 
-@pytest.mark.parametrize(("reach", "verdict"), [(0.1, "stable"), (1.0, "unstable")])
+@pytest.mark.parametrize(("reach", "verdict"), first_quick([(1.0, "unstable"), (0.1, "stable")]))
 def test_a_region_is_refuted_by_a_start_in_it_that_does_not_come_back(reach: float, verdict: str) -> None:
     """Whatever the search for a region comes to: half a metre does not come back, five centimetres do."""
     claimed = Region("level", "", 1.0, dict.fromkeys(("x", "y", "z", "psi"), reach))
@@ -306,6 +306,7 @@ def test_lift_limits_the_speed_that_pd_is_certified_for() -> None:
     assert judged(law(sinker(), "pd")).region.kind == "everywhere"
 
 
+@pytest.mark.slow
 def test_lift_that_leaves_no_speed_worth_the_name_is_refused() -> None:
     report = judged(law(with_effect(sinker(), "lift", Y_uv=1e5), "pd"))
     assert report.conditions_hold
@@ -321,7 +322,7 @@ def test_thrusters_that_cannot_give_the_forces_of_a_law_are_refused() -> None:
         certify(gains)
 
 
-@pytest.mark.parametrize(("psi", "held"), [(0.25, False), (0.01, True)])
+@pytest.mark.parametrize(("psi", "held"), first_quick([(0.25, False), (0.01, True)]))
 def test_a_start_beyond_the_gate_is_not_certified(psi: float, held: bool) -> None:
     """Until the heading is within its gate nothing holds the vehicle against a steady push of 3 N."""
     vehicle = with_effect(load_vehicle("cybership2"), "constant_force", X_0=3.0)

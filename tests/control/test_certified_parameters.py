@@ -15,6 +15,7 @@ from tests.control.test_certificates import GAINS, HEAVE, law, loaded, sinker
 from tests.control.test_quadratic import rates, value
 from tests.control.test_transient import START as SMALL
 from tests.control.test_transient import loop as six
+from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.control.closed_loop import ClosedLoop, Scenario
 from undertow.control.conditions.check import check
@@ -77,7 +78,7 @@ def test_v_falls_at_random_parameters_of_the_box() -> None:
             assert np.all(value(found.quadratic, own + step) < value(found.quadratic, own - step))
 
 
-@pytest.mark.parametrize(("axes", "form"), [(4, True), (4, False), (6, False)])
+@pytest.mark.parametrize(("axes", "form"), first_quick([(4, True), (4, False), (6, False)], 2))
 def test_motions_at_random_parameters_stay_within_all_bounds(
     axes: int, form: bool, request: pytest.FixtureRequest
 ) -> None:

@@ -219,6 +219,7 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
     rng, seen = np.random.default_rng(6), np.array(mirror)
     sector = _sector(heading, half)
     bounds, at = PushBounds([sector], TubeSearch(sector.motion, sector.starts.box).caps), sector.signals
+    acceleration_of = _acceleration_of(sector.motion.problem.gains)
     closest = 0.0
     for k in range(60):
         size = 10 ** rng.uniform(-2, 0)
@@ -228,7 +229,7 @@ def test_what_the_linear_loop_leaves_out_is_below_its_bound(
         own = np.tile(seen, 3) * z
         signals = np.abs(sector.rows @ own)[None]
         (push,) = bounds.push(SignalBounds(0 * signals, signals, np.zeros((1, 18))))
-        acceleration = seen * _acceleration(sector.motion.problem.gains, z, place)
+        acceleration = seen * acceleration_of(z, place)
         off = np.abs(acceleration - sector.rows[at.acceleration] @ own)
         assert (off <= push[at.rate] + 1e-12).all(), k
         closest = max(closest, float((off / push[at.rate]).max()))
@@ -286,26 +287,26 @@ def test_sums_of_signals_are_bounded_by_what_they_are_made_of() -> None:
         assert (whole[len(sector.base) :] <= sector.sums @ whole[: len(sector.base)] + 1e-12).all()
 
 
-def _acceleration(gains: GainSet, z: np.ndarray, heading: float) -> np.ndarray:
-    """Of the pose, from the law and the model, in the frame of a set-point of this heading."""
+def _acceleration_of(gains: GainSet) -> Callable[[np.ndarray, float], np.ndarray]:
+    """Of the pose, from the law and the model, in the frame of a set-point of a heading."""
     plant, s = gains.plant, LawSignals(gains.plant, gains.law)
-    turn = np.eye(6)
-    turn[:2, :2] = [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
-    integral, error, rate = turn @ z[:6], turn @ z[6:12], turn @ z[12:]
-    pose = -error + np.array([0, 0, 0, 0, 0, heading])
-    eta = dict(zip(plant.eta, pose, strict=True))
-    J = np.array(plant.J.xreplace(eta).evalf().tolist(), dtype=float)
-    nu = np.linalg.solve(J, rate)
-    values = eta | dict(zip(plant.nu, nu, strict=True)) | dict(zip(s.error, error, strict=True))
-    values |= dict(zip(s.states, integral, strict=True)) | plant.numbers | gains.numbers
-    values = {k: sm.Float(float(v)) for k, v in values.items()}
+    net = gains.law.force(s) - (plant.C + plant.D) * plant.nu - plant.g
+    numbers = {**plant.numbers, **gains.numbers}
+    matrices = [m.xreplace(numbers) for m in (plant.J, plant.J_dot, plant.M, net)]
+    of = sm.lambdify([*plant.eta, *plant.nu, *s.error, *s.states], matrices, "numpy", cse=True)
 
-    def number(matrix: sm.Matrix) -> np.ndarray:
-        return np.array(matrix.xreplace(values).evalf().tolist(), dtype=float)
+    def acceleration(z: np.ndarray, heading: float) -> np.ndarray:
+        turn = np.eye(6)
+        turn[:2, :2] = [[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]]
+        integral, error, rate = turn @ z[:6], turn @ z[6:12], turn @ z[12:]
+        pose = -error + np.array([0, 0, 0, 0, 0, heading])
+        rest = [*np.zeros(6), *error, *integral]
+        J = of(*pose, *rest)[0]
+        nu = np.linalg.solve(J, rate)
+        _, J_dot, M, force = of(*pose, *nu, *error, *integral)
+        return turn.T @ (J @ np.linalg.solve(M, force) + J_dot @ nu[:, None])[:, 0]
 
-    net = number(gains.law.force(s) - (plant.C + plant.D) * plant.nu - plant.g)
-    nu_dot = np.linalg.solve(number(plant.M), net)
-    return turn.T @ (J @ nu_dot + number(plant.J_dot) @ nu[:, None])[:, 0]
+    return acceleration
 
 
 # --- the whole --------------------------------------------------------------------------------------

@@ -232,6 +232,7 @@ def _half(number: Any) -> Any:
     return number / 2
 
 
+@pytest.mark.slow
 def test_rollouts_on_a_cluster_are_those_of_one_process(fleet: Path, cluster: DaskEngine) -> None:
     logs = [str(next((fleet / "logs").rglob("*.parquet")))]
     job = RolloutJob(str(fleet / "craft.toml"), horizon=10.0)

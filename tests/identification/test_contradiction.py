@@ -13,6 +13,7 @@ import sympy as sm
 import undertow as ut
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.quick import first_quick
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Bench, error_falls, open_bench
 from undertow.identification.diagnosis.consistency import Kept, kept_with
@@ -78,12 +79,14 @@ def test_an_effect_that_leaves_the_force_as_large_is_in_doubt() -> None:
     assert _tried(("periodic_side_force",), "lift").doubt.startswith("it improves only the simulations")
 
 
+@pytest.mark.slow
 def test_what_makes_up_for_a_part_of_a_periodic_force_is_not_there_beside_it() -> None:
     kept = _tried(("periodic_side_force",), "lift").kept
     assert abs(kept.size) < 0.2
     assert kept.gain < 0.2
 
 
+@pytest.mark.slow
 def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
     tried = _tried(("lift", "periodic_side_force"), "lift")
     assert tried.kept.size == pytest.approx(1.0, abs=0.45)
@@ -91,6 +94,7 @@ def test_a_periodic_force_beside_an_effect_takes_nothing_of_it() -> None:
     assert tried.doubt == ""
 
 
+@pytest.mark.slow
 def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
     """A vehicle that sinks from then on is deeper, the later it is."""
     doubt = _tried(("dropped_weight",), "hull_compressibility", "float").doubt
@@ -98,7 +102,7 @@ def test_buoyancy_does_not_fall_with_depth_where_a_weight_was_dropped() -> None:
     assert "its size would drop to" in doubt
 
 
-@pytest.mark.parametrize("of", ["usv", "float"])
+@pytest.mark.parametrize("of", first_quick(["float", "usv"]))
 def test_thrust_does_not_fade_where_drag_grows(of: str) -> None:
     """Both know the time; that the force goes with the speed, too, is news to thrust."""
     doubt = _tried(("growing_drag",), "supply_droop", of).doubt
@@ -106,7 +110,7 @@ def test_thrust_does_not_fade_where_drag_grows(of: str) -> None:
     assert "its size would drop to" in doubt
 
 
-@pytest.mark.parametrize("of", ["usv", "float"])
+@pytest.mark.parametrize("of", first_quick(["float", "usv"]))
 def test_thrust_fades_where_it_does(of: str) -> None:
     assert _tried(("supply_droop",), "supply_droop", of).doubt == ""
 

@@ -27,6 +27,7 @@ from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.loading import load_vehicle
 
 _FEW = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}
+_OF_A_BOX = {i: catalogue()[i] for i in ("quadratic_damping", "constant_force", "thruster_lag")}
 _DRAGS = {i: c for i, c in catalogue().items() if "damping" in i or "drag" in i} | _FEW
 
 
@@ -46,7 +47,8 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
 @pytest.mark.parametrize(
     ("vehicle", "effect", "seed", "known"),
     [
-        ("usv", "lift", 11, _FEW),
+        ("box", "quadratic_damping", 7, _OF_A_BOX),
+        pytest.param("usv", "lift", 11, _FEW, marks=pytest.mark.slow),
         pytest.param("usv", "lift", 11, _DRAGS, marks=pytest.mark.slow),
         pytest.param("mini-auv", "thruster_deadband", 12, None, marks=pytest.mark.slow),
         pytest.param("usv", "ocean_current", 13, None, marks=pytest.mark.slow),
@@ -72,6 +74,7 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     ("vehicle", "effects", "known"),
     first_quick(
         [
+            ("box", ("wrong_drag",), _FEW),
             ("usv", ("wrong_drag",), _FEW),
             ("usv", ("wrong_drag",), None),
             ("usv", (), None),
@@ -98,9 +101,15 @@ def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
     assert d.steps[-1].error < 1.2
 
 
-@pytest.mark.parametrize("known", first_quick([_FEW, _DRAGS]), ids=["few", "drags"])
-def test_an_effect_that_no_catalogue_has_is_not_given_a_name(known: Catalogue, tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("growing_drag",), 31, duration=30.0)
+@pytest.mark.parametrize(
+    ("vehicle", "known"),
+    first_quick([("float", _FEW), ("usv", _FEW), ("usv", _DRAGS)]),
+    ids=["few", "few for a boat", "drags"],
+)
+def test_an_effect_that_no_catalogue_has_is_not_given_a_name(
+    vehicle: str, known: Catalogue, tmp_path: Path
+) -> None:
+    _, model, runs = _loaded(tmp_path, vehicle, ("growing_drag",), 31, duration=40.0)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict in ("unexplained", "helps_prediction")  # both name no cause
     assert d.effects == []

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
+from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates, possible, possible_in
@@ -190,6 +191,7 @@ def _chance_of_slow(rng: np.random.Generator, size: float, *, longer: bool) -> f
     return NullDistributions(found, bench).p_value(falls[best], max(1, times) if longer else 1)
 
 
+@pytest.mark.slow
 def test_a_slow_disturbance_is_no_evidence_for_a_slow_effect() -> None:
     rng = np.random.default_rng(7)
     often = [
@@ -220,7 +222,7 @@ def _by_rank(rng: np.random.Generator, memory: float, size: float) -> float:
     return rank_p_value(force.left_out_falls())
 
 
-@pytest.mark.parametrize(("memory", "level"), [(1.0, 1e-3), (5.0, 1e-3), (20.0, 1e-2)])
+@pytest.mark.parametrize(("memory", "level"), first_quick([(5.0, 1e-3), (1.0, 1e-3), (20.0, 1e-2)]))
 def test_a_steady_force_shows_under_a_slow_disturbance_only_if_it_is_there(
     memory: float, level: float
 ) -> None:
@@ -242,7 +244,7 @@ def test_one_window_in_twenty_does_not_make_a_model_clearly_worse() -> None:
     assert not worse_by_rank_test(squares, squares)
 
 
-@pytest.mark.parametrize(("strength", "needed"), [(0.03, False), (0.3, True)])
+@pytest.mark.parametrize(("strength", "needed"), first_quick([(0.03, False), (0.3, True)]))
 def test_an_effect_beside_another_has_to_improve_predictions_by_enough_to_matter(
     strength: float, needed: bool
 ) -> None:

@@ -93,6 +93,7 @@ def test_of_parameters_left_out_or_not_those_are_added_that_predict_better() -> 
     assert best_predicting(setup, [whole, same])[0] is whole
 
 
+@pytest.mark.slow
 def test_the_refitted_model_is_the_same_for_all_commands_if_the_model_lacks_an_effect() -> None:
     source = Path(ut.__file__).parent / "demo_data" / "auv"
     vehicle = ut.load_vehicle(source / "vehicle.toml")
@@ -316,16 +317,16 @@ def test_a_fit_with_an_effect_ends_at_the_same_optimum_from_an_unstable_model() 
 
 
 def test_effects_added_in_one_step_end_where_they_end_one_by_one() -> None:
-    case = make_case("usv", ("ocean_current", "thruster_deadband"), 12, duration=60.0)
+    case = make_case("box", ("quadratic_damping", "constant_force"), 12, duration=60.0)
     vehicle, (first, second, *_) = vehicle_of(case), runs_of(case)
-    together = try_effect(vehicle, ["ocean_current", "thruster_deadband"], [first], [second])[1]
-    current = try_effect(vehicle, "ocean_current", [first], [second])[1]
-    then = try_effect(current.fit.vehicle, "thruster_deadband", [first], [second])[1]
-    assert together.effects == ("ocean_current", "thruster_deadband")
-    assert set(together.kept) == {"V_N", "V_E", "deadband_width"}
+    together = try_effect(vehicle, ["quadratic_damping", "constant_force"], [first], [second])[1]
+    drag = try_effect(vehicle, "quadratic_damping", [first], [second])[1]
+    then = try_effect(drag.fit.vehicle, "constant_force", [first], [second])[1]
+    assert together.effects == ("quadratic_damping", "constant_force")
+    assert set(together.kept) == {"X_uabsu", "X_0"}
     assert together.after.error == pytest.approx(then.after.error, rel=0.02)
     assert together.after.prediction == pytest.approx(then.after.prediction, rel=0.02)
-    assert together.before.ahead == current.before.ahead
+    assert together.before.ahead == drag.before.ahead
     errors = together.fit.standard_errors
     for name, value in then.fit.values.items():
         assert abs(together.fit.values[name] - value) < 0.1 * errors[name], name

@@ -257,7 +257,7 @@ def test_three_degrees_of_freedom_come_out_within_their_errors() -> None:
 
 
 def test_a_delay_is_found_by_its_effect_on_the_commands() -> None:
-    case = make_case("usv", ("actuation_delay",), 2, duration=40.0, runs=("steps", "multisine"))
+    case = make_case("box", ("actuation_delay",), 2, duration=40.0, runs=("steps", "multisine"))
     model = with_effect(vehicle_of(case), "actuation_delay", delay=0.1)
     fit = fit_output_error(model, runs_of(case))
     true = case.truth["values"]["actuation_delay"]["delay"]
@@ -265,7 +265,7 @@ def test_a_delay_is_found_by_its_effect_on_the_commands() -> None:
 
 
 def test_a_lag_is_found_though_nobody_knows_the_thrust_at_the_beginning() -> None:
-    case = make_case("usv", ("thruster_lag",), 2, duration=40.0, runs=("steps", "multisine"))
+    case = make_case("box", ("thruster_lag",), 2, duration=40.0, runs=("steps", "multisine"))
     model = with_effect(vehicle_of(case), "thruster_lag", T_lag=0.3)
     fit = fit_output_error(model, runs_of(case))
     true = case.truth["values"]["thruster_lag"]["T"]

@@ -50,13 +50,13 @@ def test_one_job_is_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_linear_algebra_has_one_thread_in_long_work(tmp_path: Path) -> None:
-    write_case(make_case("usv", ("lift",), 11, duration=20.0), tmp_path)
+    write_case(make_case("box", ("quadratic_damping",), 7, duration=20.0), tmp_path)
     model = load_vehicle(tmp_path / "vehicle.toml")
     run = read_log(tmp_path / "train_1.csv", channels=model.command_names)
     seen: dict[str, list[int]] = {"fit": [], "add": []}
     with threadpool_limits(2):
         ut.fit(model, [run], report=lambda *_: seen["fit"].extend(blas_threads()))
-        try_effect(model, "lift", [run], report=lambda *_: seen["add"].extend(blas_threads()))
+        try_effect(model, "quadratic_damping", [run], report=lambda *_: seen["add"].extend(blas_threads()))
         assert set(blas_threads()) == {2}
     assert set(seen["fit"]) == set(seen["add"]) == {1}
 
@@ -101,10 +101,10 @@ def test_something_is_done_aside_while_other_work_uses_all_cores(two: None) -> N
 def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_case(make_case("usv", ("lift",), 11, duration=20.0), tmp_path)
+    write_case(make_case("box", ("quadratic_damping",), 7, duration=20.0), tmp_path)
     model = load_vehicle(tmp_path / "vehicle.toml")
     runs = [read_log(tmp_path / f"{n}.csv", channels=model.command_names) for n in ("train_1", "holdout")]
-    known, answers = {i: catalogue()[i] for i in ("lift", "constant_force")}, []
+    known, answers = {i: catalogue()[i] for i in ("quadratic_damping", "constant_force")}, []
     threads: set[int] = set()
     for number in ("1", "2"):
         monkeypatch.setenv("UNDERTOW_JOBS", number)
@@ -115,14 +115,14 @@ def test_a_diagnosis_does_not_depend_on_the_number_of_processes(
         answers.append(result.diagnosis.model_dump(exclude={"seconds"}))
     assert threads == {1}
     assert answers[0] == answers[1]
-    assert answers[0]["effects"] == ["lift"]
+    assert answers[0]["effects"] == ["quadratic_damping"]
 
 
 @shared_memory
 def test_final_fits_of_other_processes_are_those_of_this_one(
     two: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    case = make_case("usv", ("thruster_lag",), 4, duration=30.0)
+    case = make_case("box", ("thruster_lag",), 4, duration=30.0)
     vehicle, (*train, test) = vehicle_of(case), runs_of(case)
     data, heard = prepare(train, vehicle), list[tuple[int, int]]()
     weak = [fit_weak(vehicle, data, names) for names in (None, free_parameters(vehicle)[:-1])]

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from scipy.linalg import solve_continuous_lyapunov
 
 from benchmarks.observer_log import auv
+from tests.quick import first_quick
 from undertow.codegen.compiler import find_compiler
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import identifier, slug
@@ -150,7 +151,7 @@ def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="compiles with options of cc")
-@pytest.mark.parametrize("method", ["ekf", "ukf"])
+@pytest.mark.parametrize("method", first_quick(["ekf", "ukf"]))
 def test_late_reports_in_c_are_used_when_they_were_true(method: Method, tmp_path: Path) -> None:
     """Velocities 0.3 s late, beside positions on time: Python has all that came in at the rows of truth."""
     late, dt, rows, sensors = 3, 0.1, 40, {n: SENSORS[n] for n in ("x", "psi")} | {"u": {"noise": "1 cm/s"}}
@@ -223,7 +224,9 @@ def test_the_controller_sees_the_estimate(record) -> None:
     assert np.std(record.reported["x"] - record.state["x"]) == pytest.approx(0.05, rel=0.15)
 
 
-@pytest.mark.parametrize("observer", [design(table(), load_vehicle("mini-auv")), behind()], ids=["", "late"])
+@pytest.mark.parametrize(
+    "observer", first_quick([design(table(), load_vehicle("mini-auv")), behind()]), ids=["", "late"]
+)
 def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine(observer: Design) -> None:
     if find_compiler() is None:
         pytest.skip("no C compiler on this machine")
@@ -238,7 +241,7 @@ def test_compiled_loops_with_an_observer_are_those_of_the_virtual_machine(observ
         np.testing.assert_allclose(several.state(name)[0], values, rtol=1e-8, atol=1e-10)
 
 
-@pytest.mark.parametrize("method", ["ekf", "ukf"])
+@pytest.mark.parametrize("method", first_quick(["ekf", "ukf"]))
 def test_a_loop_uses_late_reports_when_they_were_true(method: Method) -> None:
     """Python has the reports that had come in at a sample, in the rows of when they were true."""
     observer, dt, lags = behind(method), 0.1, (0, 0, 0, 0, 3, 3)

@@ -34,6 +34,7 @@ def runs() -> list[tuple[Estimate, Truth]]:
     return [run(seed) for seed in range(RUNS)]
 
 
+@pytest.mark.slow
 def test_a_consistent_filter_is_within_its_bounds_as_often_as_they_say(runs) -> None:
     tests = [nees([one]) for one in runs]
     assert [one.name for one in tests[0]] == ["position", "velocity", "all"]
@@ -44,6 +45,7 @@ def test_a_consistent_filter_is_within_its_bounds_as_often_as_they_say(runs) -> 
     assert nees(runs)[-1].high < tests[0][-1].high
 
 
+@pytest.mark.slow
 def test_the_variance_of_the_mean_is_that_of_many_runs(runs) -> None:
     """Independent squares would vary far less: errors of a filter last."""
     tests = [nees([one])[-1] for one in runs]
@@ -59,9 +61,9 @@ def test_noise_misjudged_by_two_is_seen(misjudged: float, sure: bool) -> None:
     assert (found.mean > found.high) == sure
 
 
-def test_errors_of_size_one_sigma_have_a_nees_of_one(runs) -> None:
+def test_errors_of_size_one_sigma_have_a_nees_of_one() -> None:
     """And noise of the reference itself counts, as do errors of whole turns, which are none."""
-    found, _ = runs[0]
+    found, _ = run(0)
     named = replace(found, names=("psi", "u"))
     one_sigma = found.mean[:, [0]] + found.deviation[:, [0]] - 2 * np.pi
     (heading, _) = nees([(named, Truth(("psi",), one_sigma, np.zeros(1)))])
@@ -71,7 +73,7 @@ def test_errors_of_size_one_sigma_have_a_nees_of_one(runs) -> None:
     assert steady.mean == pytest.approx(0.5, rel=0.1)
 
 
-def test_few_rows_of_truth_are_no_test(runs) -> None:
-    found, truth = runs[0]
+def test_few_rows_of_truth_are_no_test() -> None:
+    found, truth = run(0)
     some = np.where(np.arange(ROWS)[:, None] < ROWS - SETTINGS.fewest_rows + 1, np.nan, truth.values)
     assert nees([(found, replace(truth, values=some))]) == ()
