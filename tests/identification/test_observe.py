@@ -61,7 +61,7 @@ def test_reports_stand_at_the_time_when_they_were_true() -> None:
 
 
 def test_a_filter_that_lost_its_track_is_not_honest() -> None:
-    run, _, _ = log(auv(), 20.0, 2, EVERY)
+    run, _, _ = log(auv(), 10.0, 2, EVERY)
     still = dict.fromkeys(("u_dot", "v_dot", "w_dot", "r_dot"), 1e-5)
     stiff = observe(auv(), run, disturbance=still)
     assert "r" in stiff.lost
@@ -101,7 +101,7 @@ def test_the_noise_that_drives_the_motion_is_found() -> None:
 
 
 def test_a_picture_has_units_time_and_a_legend() -> None:
-    run, _, _ = log(auv(), 10.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
+    run, _, _ = log(auv(), 5.0, 1, {"x": 1, "y": 1, "z": 1, "psi": 1})
     *panels, below = observed_picture(observe(auv(), run), run).axes
     labels = ["x [m]", "u [m/s]", "y [m]", "v [m/s]", "z [m]", "w [m/s]", "psi [rad]", "r [rad/s]", "NIS"]
     assert [axis.get_ylabel() for axis in panels] == labels
@@ -122,7 +122,7 @@ def test_too_few_reports_and_missing_commands_are_refused() -> None:
 
 def test_several_logs_are_tested_together() -> None:
     """NIS is the mean over all reports, sums of Ljung and Box add up, the file takes the mean noise."""
-    runs = [log(auv(), 10.0, seed, {"x": 1, "y": 1, "z": 1, "psi": 1})[0] for seed in (1, 2)]
+    runs = [log(auv(), 5.0, seed, {"x": 1, "y": 1, "z": 1, "psi": 1})[0] for seed in (1, 2)]
     one, other = (observe(auv(), run) for run in runs)
     both = observe_logs(auv(), runs)
     for single, other_one, pooled in zip(one.nis, other.nis, both.nis, strict=True):

@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 import undertow as ut
 from tests.identification.logs_of import simulated_runs
 from undertow.model.vehicle import Value
 
 
+def test_a_coefficient_that_a_stated_effect_lacks_is_found() -> None:
+    whole, known = ut.load_vehicle("cybership2"), ut.catalogue()
+    runs = simulated_runs(whole, 3, 40.0, seed=3, size=2.0, hold=40, noise=0.002)
+    file = replace(whole, values={n: v for n, v in whole.values.items() if n != "Y_vabsv"})
+    found = ut.diagnose(file, runs[:2], runs[2:], known={"quadratic_damping": known["quadratic_damping"]})
+    assert found.diagnosis.verdict == "missing_effect"
+    assert found.effects == ["quadratic_damping"]
+    (drag,) = [p for p in found.diagnosis.parameters if p.name == "Y_vabsv"]
+    assert abs(drag.value + 36.47) < 3.0 * max(drag.standard_error, 1.0)
+
+
+@pytest.mark.slow
 def test_what_frees_a_coefficient_of_a_stated_effect_is_found_once_and_the_next_effect_beside_it() -> None:
     whole, known = ut.load_vehicle("cybership2"), ut.catalogue()
     force = known["constant_force"]

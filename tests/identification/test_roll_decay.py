@@ -36,7 +36,7 @@ def _decay(heel: float, seed: int) -> Run:
         return x[1], (-arm * np.sin(x[0]) - DAMPING * x[1]) / (INERTIA + ADDED)
 
     t = np.arange(0.0, 120.0, 0.1)
-    phi = solve_ivp(rates, (0.0, 120.0), (heel, 0.0), t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    phi = solve_ivp(rates, (0.0, 120.0), (heel, 0.0), t_eval=t, method="DOP853", rtol=1e-10, atol=1e-12).y[0]
     noise = NOISE * np.random.default_rng(seed).standard_normal(t.size)
     return run_of(f"roll_{seed}", {"t": t, "phi": phi + noise})
 

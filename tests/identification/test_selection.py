@@ -419,7 +419,7 @@ def test_an_effect_whose_force_is_not_significant_may_improve_predictions_but_is
     pushed = whole.with_effect(
         known["constant_force"], {"X_0": Value(0.0), "Y_0": Value(0.2), "N_0": Value(0.0)}
     )
-    runs = simulated_runs(pushed, 3, 100.0, seed=3, size=2.0, hold=40, noise=0.002, unlogged=0.01)
+    runs = simulated_runs(pushed, 3, 50.0, seed=3, size=2.0, hold=40, noise=0.002, unlogged=0.01)
     train = prepare(runs[:2], whole)
     bench = open_bench(whole, train, prepare(runs[2:], whole, sigma=train.sigma))
     current = try_all(bench, {"constant_force": known["constant_force"]}, lambda done, words: None)
