@@ -28,7 +28,7 @@ from undertow.identification.estimation.prediction_error import AutoregressiveNo
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 
-STEP, SECONDS = 0.1, 150.0
+STEP, SECONDS = 0.1, 100.0
 MASS, DRAG = 18.0, 6.0  # kg with added mass, kg/s
 RMS, LASTING = 4.0, 8.0  # of the disturbance, N and s
 VEHICLE = """
@@ -116,7 +116,7 @@ def test_a_dead_band_shows_with_process_noise() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_reversed_commands_are_distinguished_from_a_controller(sign: float) -> None:
-    runs = [_run(seed, 0.0, held=True) for seed in range(2)]
+    runs = [_run(0, 0.0, held=True)]
     wired = [replace(r, channels=r.channels | {"jet": sign * r.channels["jet"]}) for r in runs]
     vehicle = loaded(VEHICLE)
     at = dynamics_of(vehicle, wired)

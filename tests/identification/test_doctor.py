@@ -236,7 +236,11 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize(("wrong", "kind", "line"), COMMANDS, ids=[m[1] for m in COMMANDS])
+@pytest.mark.parametrize(
+    ("wrong", "kind", "line"),
+    quick_if(lambda m: m is not COMMANDS[2], COMMANDS),  # the last one has a factor, too
+    ids=[m[1] for m in COMMANDS],
+)
 def test_a_mistake_in_commands_is_reported_and_its_line_mends_it(
     usv: Case, read: Callable[..., Run], wrong: Break, kind: str, line: str
 ) -> None:
@@ -568,6 +572,7 @@ def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read:
     assert found.result.findings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roll", first_quick([0.4, 0.6]))
 def test_what_a_zero_would_mend_as_well_is_no_other_unit(roll: float) -> None:
     """A tilted compass lets sway leak into heave and turns the track: v in km/h would hide the first only."""
@@ -589,7 +594,7 @@ def test_a_heading_that_is_blank_now_and_then_is_still_the_heading(usv: Case) ->
     assert kinematics.mismatch([without]).excess[0] < 1e-3
 
 
-@pytest.mark.parametrize("dead", [0.0, 1e-6])
+@pytest.mark.parametrize("dead", first_quick([0.0, 1e-6]))
 def test_a_velocity_that_measures_nothing_is_named_and_refused(usv: Case, dead: float) -> None:
     """As odometry that leaves its turning rates empty: a fit would take it that the vehicle never turns."""
     (columns,), vehicle = usv.runs.values(), vehicle_of(usv)

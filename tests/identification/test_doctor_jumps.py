@@ -30,7 +30,7 @@ def _log(away: tuple[int, ...] = (), noise: float = 0.01) -> Columns:
 
 
 def test_positions_that_no_vehicle_reaches_are_counted() -> None:
-    vehicle = load_vehicle("otter")
+    vehicle = replace(load_vehicle("otter"), thrusters=())
     runs = [run_of(name, _log(away=(100, 250, 400))) for name in ("one", "other")]
     (found,) = [f for f in examine(vehicle, runs).result.findings if f.id == "position_jumps"]
     assert found.severity == "warning"

@@ -23,8 +23,8 @@ def ship() -> Vehicle:
 
 
 def _stamped(vehicle: Vehicle, late: float) -> Run:
-    """A run at 250 samples a second whose stamps are late by up to so many steps; noise of 0.2 mm."""
-    t, rng = np.arange(0.0, 25.0, 0.004), np.random.default_rng(8)
+    """Ten seconds at 250 samples a second whose stamps are late by up to so many steps; noise of 0.2 mm."""
+    t, rng = np.arange(0.0, 10.0, 0.004), np.random.default_rng(8)
     u, v, psi = 1.0 + 0.3 * np.sin(0.9 * t), 0.1 * np.cos(1.3 * t), 0.8 * np.sin(0.5 * t)
     place = 0.004 * np.cumsum((u + 1j * v) * np.exp(1j * psi))
     pose = {"x": place.real, "y": place.imag, "psi": psi}
