@@ -171,6 +171,7 @@ def test_a_weight_that_is_dropped_is_a_step() -> None:
     assert left["heave"].summary.count("N from then on") == 1
 
 
+@pytest.mark.slow
 def test_a_drag_that_comes_suddenly_is_told_from_one_that_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     """That of the hidden effects grows; here is one more, twice as large from 35 s on."""
 

@@ -30,8 +30,8 @@ SEED = 20261123
 
 
 @cache
-def _case(*hidden: str) -> Case:
-    return make_case("usv", hidden, SEED, duration=40.0)
+def _case(*hidden: str, duration: float = 40.0) -> Case:
+    return make_case("usv", hidden, SEED, duration=duration)
 
 
 def _fixed(case: Case, factors: dict[str, float]) -> Vehicle:
@@ -45,7 +45,7 @@ def _fixed(case: Case, factors: dict[str, float]) -> Vehicle:
 
 @cache
 def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) -> DiagnosisResult:
-    case = _case(*hidden)
+    case = _case(*hidden, duration=25.0)
     runs = runs_of(case)
     known = {i: catalogue()[i] for i in KNOWN}
     return diagnose(_fixed(case, dict(factors)), runs[:-1], runs[-1:], known=known)

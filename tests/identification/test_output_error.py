@@ -12,6 +12,7 @@ from scipy.integrate import cumulative_simpson
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from tests.quick import first_quick
 from undertow.codegen.engine import Products
 from undertow.codegen.functions import Functions
 from undertow.errors import UndertowError
@@ -279,7 +280,7 @@ def _drifting() -> Case:
     return make_case("catamaran", ("ocean_current",), 5, noise=0.02, strength=3.0, duration=40.0, runs=runs)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.3])
+@pytest.mark.parametrize("share", first_quick([0.3, 1.0]))
 def test_windows_in_which_a_step_fails_do_not_hold_the_parameters(share: float) -> None:
     """In a current that the model lacks, long windows run away: the descent still ends where it does from
     elsewhere.

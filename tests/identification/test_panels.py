@@ -81,6 +81,7 @@ def test_place_and_direction_of_a_hull_do_not_matter() -> None:
     np.testing.assert_allclose(there, there.T, atol=1e-9)
 
 
+@pytest.mark.slow
 @needs_capytaine
 def test_near_the_surface_a_sphere_carries_less_at_high_frequency() -> None:
     """Pressure is constant at the surface: image of the opposite sign to that behind a wall (Lamb)."""

@@ -153,6 +153,7 @@ def test_a_payload_of_every_dive_keeps_its_mass_positive() -> None:
 # --- runs that were not fitted --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_that_was_not_fitted_teaches_its_own_current_by_its_first_third(tmp_path: Path) -> None:
     runs = _dives(_case(5), CURRENTS)
     vehicle = _vehicle(_case(5))

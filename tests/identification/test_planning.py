@@ -79,6 +79,7 @@ def test_thrusters_with_a_curve_are_planned_with() -> None:
 SHIP = {"propeller": 18.0, "rudder": 0.5}
 
 
+@pytest.mark.slow
 def test_a_rudder_is_planned_with_though_it_does_nothing_at_rest() -> None:
     vehicle = load_vehicle("kvlcc2")
     request = PlanRequest(duration=150.0, rate=5.0, limits=SHIP, tries=150)

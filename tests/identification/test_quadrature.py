@@ -56,7 +56,7 @@ def test_the_error_of_quadrature_is_far_below_a_faint_noise(vehicle: str, closed
 @pytest.mark.parametrize("effect", first_quick(e for e in KNOWN if e))
 def test_so_it_is_with_effects_that_act_on_the_commands(effect: str) -> None:
     """A dead time falls between samples, and what was commanded before the log is not known."""
-    assert np.max(_squares("rov", effect)) < 0.05
+    assert np.max(_squares("usv", effect)) < 0.05
 
 
 # --- the parts ------------------------------------------------------------------------------------------

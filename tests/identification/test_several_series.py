@@ -286,6 +286,7 @@ def test_a_late_position_is_found_and_mended(late: list[Path]) -> None:
     assert after["x"] < 1.3
 
 
+@pytest.mark.slow
 def test_latencies_of_prompt_series_are_said_with_their_errors(union: list[Run]) -> None:
     findings = examine(truth(), union[:2]).result.findings
     assert not [f for f in findings if f.id.startswith("late_")]
