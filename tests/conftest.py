@@ -16,6 +16,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["MPLBACKEND"] = "Agg"
     # Workers that each take all processors for small matrices wait for each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    # SymPy keeps what it has worked out of more expressions than it does by itself.
+    os.environ.setdefault("SYMPY_CACHE_SIZE", "20000")
     # The tests themselves run on all cores.
     os.environ.setdefault("UNDERTOW_JOBS", "1")
     # Compiled code of the tests is kept from one run to the next, but not in the user's own cache.

@@ -86,7 +86,7 @@ def test_a_run_shows_its_channels_in_a_notebook(run: ut.Run) -> None:
 
 def test_a_diagnosis_shows_the_error_of_each_model_in_a_notebook(vehicle: ut.Vehicle, run: ut.Run) -> None:
     current = {"ocean_current": ut.catalogue()["ocean_current"]}
-    found = ut.diagnose(vehicle, [run], known=current)
+    found = ut.diagnose(vehicle, [run.slice(0.0, 30.0)], known=current)
     assert repr(found).startswith("missing_effect: Adding ocean_current lowers ")
     assert repr(found).endswith("Missing: ocean_current; what remains is noise.")
     assert f"<td>ocean_current</td><td>{found.diagnosis.steps[-1].error:.5g}</td>" in found._repr_html_()

@@ -60,7 +60,10 @@ def numbers(out: str) -> Counter[str]:
 # Of another vehicle, or what the longest of the kind prints, too.
 _MORE = bundled_vehicles().keys() - {"mini-auv"}
 _LIKE = (
-    *(f"gains mini-auv {law}" for law in ("paper-pd", "paper-pid", "paper-smc", "paper-pid --repair literal")),
+    *(
+        f"gains mini-auv {law}"
+        for law in ("paper-pd", "paper-pid", "paper-smc", "paper-pid --repair literal")
+    ),
     *("linearize mini-auv", "audit mini-auv", "effects show lift"),
     *("linearize mini-auv --gains paper-pd", "audit", f"compare {LOG}", f"doctor {LOG}"),
 )

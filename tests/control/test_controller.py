@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -47,11 +47,15 @@ def test_the_paper_s_allocation_comes_out() -> None:
 
 
 def commands(allocation: Allocation, force: Sequence[float]) -> np.ndarray:
+    return allocating(allocation)(force)
+
+
+def allocating(allocation: Allocation) -> Callable[[Sequence[float]], np.ndarray]:
     wanted = ca.SX.sym("force", len(allocation.matrix))
     function = ca.Function(
         "allocate", [wanted], [thruster_commands(SymbolicAllocation.of(allocation), wanted)]
     )
-    return np.asarray(ca.densify(function(force))).ravel()
+    return lambda force: np.asarray(ca.densify(function(force))).ravel()
 
 
 def rov(limit: float = math.inf, weights: np.ndarray | None = None) -> Allocation:
@@ -73,10 +77,10 @@ def test_without_limits_it_is_the_weighted_pseudo_inverse() -> None:
 
 def test_limits_hold_and_the_others_take_over() -> None:
     rng = np.random.default_rng(2)
-    helped = 0
+    helped, without, within = 0, allocating(rov()), allocating(rov(12.0))
     for _ in range(60):
         tau = rng.normal(size=6) * [30, 30, 30, 4, 4, 4]
-        plain, f = np.clip(commands(rov(), tau), -12, 12), commands(rov(12.0), tau)
+        plain, f = np.clip(without(tau), -12, 12), within(tau)
         assert np.abs(f).max() <= 12
         best = lsq_linear(ROV, tau, (-12, 12)).cost
         left = 0.5 * np.sum((tau - ROV @ f) ** 2)

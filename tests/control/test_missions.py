@@ -338,7 +338,13 @@ def test_q_of_pid_is_that_of_the_model_whatever_frame_it_is_worked_out_in() -> N
 
 def test_more_damping_at_speed_may_break_v_of_pid() -> None:
     """Damping is in the mixed block of Q, too, so that its largest value counts as well as its least."""
-    gains = six("K_pabsp", "M_qabsq", "N_rabsr", K_P={"x": 3.0, "y": 3.0, "z": 3.0}, K_I={"x": 0.1, "y": 0.1, "z": 0.1})
+    gains = six(
+        "K_pabsp",
+        "M_qabsq",
+        "N_rabsr",
+        K_P={"x": 3.0, "y": 3.0, "z": 3.0},
+        K_I={"x": 0.1, "y": 0.1, "z": 0.1},
+    )
     slow = check_mission(gains, mission("spline", scattered(3), speed=0.05))
     fast = check_mission(gains, mission("spline", scattered(3), speed=3.0))
     margins = [next(r.margin for r in m.rows if r.condition == "V_dot") for m in (slow, fast)]

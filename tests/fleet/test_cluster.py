@@ -102,7 +102,7 @@ def test_any_scheduler_will_do(cluster: DaskEngine) -> None:
 def test_a_scheduler_that_is_not_there_is_refused(
     cluster: DaskEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("undertow.fleet.engine.TIMEOUTS", Timeouts(scheduler=1.0))
+    monkeypatch.setattr("undertow.fleet.engine.TIMEOUTS", Timeouts(scheduler=0.2))
     with pytest.raises(UndertowError, match=r"127\.0\.0\.1:9' does not answer"), engine("tcp://127.0.0.1:9"):
         pass
     with pytest.raises(UndertowError, match="does not answer"), engine("nonsense://"):

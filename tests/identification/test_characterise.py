@@ -82,6 +82,7 @@ def _is_silent(left: Remaining) -> bool:
 
 
 # --- simulated vehicles -----------------------------------------------------------------------------
+@pytest.mark.slow
 def test_drag_in_turns_goes_with_the_yaw_rate_and_the_speed() -> None:
     values, left = _left(*HEADING)
     reported, k = left["surge"].depends_on[0], values["turning_drag"]["k"]
@@ -158,6 +159,7 @@ def test_a_drag_that_grows_is_a_trend() -> None:
     assert "the more the longer the run lasts" in left["yaw"].summary
 
 
+@pytest.mark.slow
 def test_a_weight_that_is_dropped_is_a_step() -> None:
     values, left = _left("dropped_weight", seed=2, of="float")
     reported, true = left["heave"].depends_on[0], values["dropped_weight"]

@@ -28,7 +28,7 @@ from undertow.identification.estimation.prediction_error import AutoregressiveNo
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 
-STEP, SECONDS = 0.1, 100.0
+STEP = 0.1
 MASS, DRAG = 18.0, 6.0  # kg with added mass, kg/s
 RMS, LASTING = 4.0, 8.0  # of the disturbance, N and s
 VEHICLE = """
@@ -54,13 +54,13 @@ limit = "40 N"
 """
 
 
-def _run(seed: int, dead: float, *, held: bool) -> Run:
+def _run(seed: int, dead: float, *, held: bool, seconds: float = 80.0) -> Run:
     """A vehicle in a slow disturbance; it is held in place by what is logged, or driven by steps.
 
     dead: dead band of the thruster, N.
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(0.0, SECONDS, STEP)
+    t = np.arange(0.0, seconds, STEP)
     x, u, d = np.zeros((3, len(t)))
     command = np.repeat(rng.uniform(-6.0, 6.0, len(t) // 30 + 1), 30)[: len(t)]
     noise = np.array([[0.01], [0.005]]) * rng.standard_normal((2, len(t)))
@@ -78,9 +78,11 @@ def _run(seed: int, dead: float, *, held: bool) -> Run:
 
 
 @cache
-def _candidate(effect: str, value: float, *, dead: float, held: bool) -> tuple[FoundEffect, Bench]:
+def _candidate(
+    effect: str, value: float, *, dead: float, held: bool, seconds: float = 80.0
+) -> tuple[FoundEffect, Bench]:
     """An effect fitted to half of the runs, from this value."""
-    vehicle, runs = loaded(VEHICLE), [_run(seed, dead, held=held) for seed in range(4)]
+    vehicle, runs = loaded(VEHICLE), [_run(seed, dead, held=held, seconds=seconds) for seed in range(4)]
     train = prepare(runs[:2], vehicle)
     bench = open_bench(vehicle, train, prepare(runs[2:], vehicle, sigma=train.sigma))
     candidate = Candidate(catalogue()[effect], vehicle)
@@ -107,8 +109,9 @@ def test_inertia_is_found_with_process_noise() -> None:
     assert bench.base_by_prediction_error.values["X_udot"] == pytest.approx(-6.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_a_dead_band_shows_with_process_noise() -> None:
-    finding, bench = _candidate("thruster_deadband", 2.0, dead=4.0, held=False)
+    finding, bench = _candidate("thruster_deadband", 2.0, dead=4.0, held=False, seconds=150.0)
     assert finding.trial.fit.values["deadband_width"] == pytest.approx(4.0, rel=0.25)
     assert p_value_by_prediction_error(finding, bench) < 2e-3
     assert feedback_doubt(finding, bench, among=4) == ""

@@ -153,6 +153,7 @@ def test_the_line_is_for_the_column_of_the_mapping_in_use(usv: Case, read: Calla
     assert mistake.mapping == '[columns]\nheading = { channel = "psi", unit = "deg" }'
 
 
+@pytest.mark.slow
 def test_a_mapping_that_is_itself_the_mistake(usv: Case, read: Callable[..., Run]) -> None:
     wrong = {
         "frames": {"position": "ENU", "attitude": "NED"},
@@ -565,6 +566,7 @@ def test_a_mistake_that_a_log_has_not_the_channels_for_is_not_tried(
     assert in_degrees or "psi" in left_out or frames
 
 
+@pytest.mark.slow
 def test_a_channel_in_the_place_of_another_is_no_reason_to_stop(usv: Case, read: Callable[..., Run]) -> None:
     (columns,) = usv.runs.values()
     mapping = LogMapping.model_validate({"columns": {"x": "v", "v": "y", "y": {"channel": "zz"}}})

@@ -237,7 +237,9 @@ def _minute() -> Case:
     return make_case("usv", (), 4, duration=60.0, runs=("multisine",))
 
 
-@pytest.mark.parametrize(("early", "names"), [(True, {"x", "y"}), (False, {"psi", "u", "v", "r"})])
+@pytest.mark.parametrize(
+    ("early", "names"), first_quick([(True, {"x", "y"}), (False, {"psi", "u", "v", "r"})])
+)
 def test_commands_say_which_of_two_clocks_is_wrong(early: bool, names: set[str]) -> None:
     """Positions a second early look like all the rest late; only one follows the commands."""
     case = _minute()

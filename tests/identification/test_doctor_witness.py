@@ -280,6 +280,7 @@ def _two_runs() -> Case:
     return make_case("mini-auv", (), 6, duration=60.0, runs=("multisine", "steps"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "found"),
     quick_if(lambda case: case[0] == 0.8, [(0.7, True), (0.8, True), (0.95, False), (1.05, False)]),
@@ -351,6 +352,7 @@ def test_a_current_that_the_model_lacks_is_no_other_unit() -> None:
     assert any("ocean_current" in other for other in doubt.alternatives)
 
 
+@pytest.mark.slow
 def test_a_velocity_sensor_in_the_bow_is_no_axis_with_the_opposite_sign() -> None:
     """In a turn a ship drifts outwards and its bow does not."""
     vehicle = load_vehicle("kvlcc2")

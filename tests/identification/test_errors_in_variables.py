@@ -35,6 +35,7 @@ def at_ten_per_cent() -> dict[str, Bias]:
     return {name: bias(name, 0.10, found) for name, found in named.items()}
 
 
+@pytest.mark.slow
 def test_least_squares_is_drawn_to_zero() -> None:
     off = at_ten_per_cent()["squares"].mean
     assert off[0] < -10  # % of the mass

@@ -100,6 +100,7 @@ def _off(vehicle: Vehicle, by: float) -> Vehicle:
     return vehicle.with_values({n: Value(by * value, True, 0.6 * abs(value)) for n, value in TRUTH.items()})
 
 
+@pytest.mark.slow
 def test_all_axes_come_back_from_logs_of_one_motion_each(tmp_path: Path, vehicle: Vehicle) -> None:
     paths = [towing_log(tmp_path, axis, seed) for seed, axis in enumerate(AXES)]
     start = _off(vehicle, 0.6)

@@ -223,7 +223,7 @@ def test_a_scale_that_no_force_fixes_is_said_and_stays() -> None:
 
 # --- the end of a fit ---------------------------------------------------------------------------------------
 def test_output_error_is_kept_where_it_predicts_no_worse() -> None:
-    case = make_case("usv", ("lift",), 4, duration=60.0)
+    case = make_case("usv", ("lift",), 4, duration=30.0)
     vehicle, (*train, test) = vehicle_of(case), runs_of(case)
     weak = fit_weak(vehicle, prepare(train, vehicle))
     final = final_fit(weak, train, [test])
@@ -298,11 +298,12 @@ def test_a_slow_disturbance_moves_no_mass_far_from_what_is_stated() -> None:
     vehicle, runs = vehicle_of(case), runs_of(case)
     stated = {n: v for n, v in vehicle.values.items() if v.estimate and v.value}
     vehicle = vehicle.with_values({n: replace(v, sigma=0.1 * abs(v.value)) for n, v in stated.items()})
-    found = ut.fit(vehicle, runs[:3], validation=runs[3:]).vehicle.values
+    found = ut.fit(vehicle, runs[:2], validation=runs[3:]).vehicle.values
     apart = {n: abs(found[n].value - v.value) / (0.1 * abs(v.value)) for n, v in stated.items()}
     assert max(apart[n] for n in ("X_udot", "Y_vdot", "N_rdot")) < 10.0
 
 
+@pytest.mark.slow
 def test_a_fit_with_an_effect_ends_at_the_same_optimum_from_an_unstable_model() -> None:
     stated = ut.load_vehicle("cybership2")
     *train, test = simulated_runs(stated, 3, 60.0, seed=7, size=2.0, hold=20, noise=0.005)

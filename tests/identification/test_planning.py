@@ -438,6 +438,7 @@ def test_a_model_is_told_from_the_one_without_the_effect() -> None:
     assert plan.rivals[0].source == "diagnosis"
 
 
+@pytest.mark.slow
 def test_what_is_the_same_thing_is_reported() -> None:
     effects = {"rigid_body": {"m": 7.5}, "linear_damping": {"Z_w": _free(3.0)}}
     vehicle = _vehicle(["heave"], effects, ["tau_Z"])
@@ -495,6 +496,7 @@ def test_a_sentence_for_a_diagnosis(drag_plan: Planned) -> None:
     assert said.endswith("undertow plan --goal separate --between linear_damping,quadratic_damping.")
 
 
+@pytest.mark.slow
 def test_rivals_beside_a_force_that_differs_between_runs_have_one_value_of_it(drag_plan: Planned) -> None:
     """The run that is planned is none of those that the logs hold."""
     effects = {"rigid_body": {"m": 7.5}, "added_mass": {"X_udot": _free(1.6)}}
@@ -513,6 +515,7 @@ def test_no_run_is_proposed_that_separates_less_than_the_logs_that_did_not(drag_
     assert said.endswith("would put linear_damping and quadratic_damping farther apart than these logs do.")
 
 
+@pytest.mark.slow
 def test_two_effects_are_told_from_one_of_them() -> None:
     specs = [RivalSpec("cubic_damping+dry_friction", {}), RivalSpec("cubic_damping", {})]
     plan = plan_separation(surge_vehicle(), specs, (), replace(SHORT, tries=10)).plan

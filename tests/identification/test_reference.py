@@ -57,7 +57,7 @@ def _split(vehicle: Vehicle, runs: list[Run]) -> tuple[WeakFit, WeakData]:
 
 @cache
 def _ship(*effects: str) -> tuple[WeakFit, WeakData]:
-    case = make_case("usv", effects, 1, duration=60.0)
+    case = make_case("usv", effects, 1, duration=40.0)
     return _split(vehicle_of(case), runs_of(case))
 
 

@@ -294,6 +294,7 @@ def test_latencies_of_prompt_series_are_said_with_their_errors(union: list[Run])
     assert all(abs(value) < 0.05 for value in said.evidence.values())
 
 
+@pytest.mark.slow
 def test_commands_of_another_clock_are_found_and_mended(dives: list[Dive], tmp_path: Path) -> None:
     """Stamped too late, they seem to come after the motion; no vehicle does that."""
     names = [*model().command_names]

@@ -272,6 +272,7 @@ def test_process_noise_must_fit() -> None:
         Observer(linear(), [1.0, 2.0])
 
 
+@pytest.mark.slow
 def test_the_noise_is_found_from_a_guess_with_which_the_filter_loses_its_track() -> None:
     """A turn by an exact gyro: with too little noise all reports are rejected, and less noise is cheaper."""
     what = process_of(auv(), (), "kinematics")
