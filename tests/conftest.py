@@ -20,6 +20,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("SYMPY_CACHE_SIZE", "20000")
     # The tests themselves run on all cores.
     os.environ.setdefault("UNDERTOW_JOBS", "1")
+    # No test outlives the machine: what is written need not be on the disk before it goes on.
+    os.fsync = lambda descriptor: None
     # Compiled code of the tests is kept from one run to the next, but not in the user's own cache.
     plugin = getattr(config, "cache", None)
     cache = plugin.mkdir("undertow") if plugin else None

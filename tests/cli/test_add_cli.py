@@ -70,6 +70,7 @@ def _assert_told_how(reported: list[dict[str, Any]]) -> None:
     assert {"V_N", "V_E"} <= set(history["covariance"]["parameters"])
 
 
+@pytest.mark.slow
 def test_without_a_target_nothing_is_written(case: Path, capsys: Capture) -> None:
     before = contents(case)
     assert add("ocean_current") == 0

@@ -76,6 +76,7 @@ def test_compare_draws_what_it_found(case: Path, capsys: pytest.CaptureFixture[s
     assert "7 pictures in pictures" in _lines(capsys)
 
 
+@pytest.mark.slow
 def test_what_is_unexplained_comes_last_in_the_budget(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also below effects that only act in a later motion."""
     usv = Path("usv.toml")

@@ -126,6 +126,7 @@ def test_a_diagnosis_says_what_to_tell_apart(case: Path) -> None:
     assert force.values == {"X_0": 0.3, "Y_0": 0.0, "N_0": 0.0}
 
 
+@pytest.mark.slow
 def test_a_diagnosis_that_named_one_effect_is_asked_again(case: Path) -> None:
     Path("found.json").write_text(_diagnosis(indistinguishable=[], verdict="missing_effect"))
     assert main(["plan", "usv.toml", *QUICK, "--diagnosis", "found.json", "--json", "plan.json"]) == 0

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,13 @@ BOX = box_mesh((0.60, 0.42, 0.24))
 PUSHED = TankPlan(60.48, profiles=("push", "step"), prescribed=True)
 
 
-def _tank(orders: TankPlan, hull: Mesh = BOX) -> Tank:
-    return make_tank(hull, orders, "hull.stl", "0" * 64)[0]
+def _tank(orders: TankPlan, hull: Mesh | None = None) -> Tank:
+    return _of_box(orders) if hull is None else make_tank(hull, orders, "hull.stl", "0" * 64)[0]
+
+
+@cache
+def _of_box(orders: TankPlan) -> Tank:
+    return make_tank(BOX, orders, "hull.stl", "0" * 64)[0]
 
 
 def _bent() -> Mesh:
