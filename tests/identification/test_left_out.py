@@ -110,7 +110,7 @@ def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
 
 def test_a_start_from_which_states_grow_without_bound_is_none() -> None:
     """At a sample every two seconds, the steps of integration cannot follow a lag of a tenth of one."""
-    case = make_case("usv", ("thruster_lag",), 3, duration=160.0, runs=("steps", "multisine"))
+    case = make_case("box", ("thruster_lag",), 3, duration=120.0, runs=("steps", "multisine"))
     vehicle = vehicle_of(case)
     slow = [
         replace(r, t=r.t[::40], channels={n: c[::40] for n, c in r.channels.items()}) for r in runs_of(case)
