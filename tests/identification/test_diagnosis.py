@@ -102,14 +102,14 @@ def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "known"),
-    first_quick([("float", _FEW), ("usv", _FEW), ("usv", _DRAGS)]),
+    ("vehicle", "duration", "known"),
+    first_quick([("float", 40.0, _FEW), ("usv", 30.0, _FEW), ("usv", 30.0, _DRAGS)]),
     ids=["few", "few for a boat", "drags"],
 )
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(
-    vehicle: str, known: Catalogue, tmp_path: Path
+    vehicle: str, duration: float, known: Catalogue, tmp_path: Path
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, ("growing_drag",), 31, duration=40.0)
+    _, model, runs = _loaded(tmp_path, vehicle, ("growing_drag",), 31, duration=duration)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict in ("unexplained", "helps_prediction")  # both name no cause
     assert d.effects == []
