@@ -312,7 +312,7 @@ def _power(vehicle: Vehicle) -> Iterator[Discrepancy]:
 def _terms_at_random(power: sm.Expr, vehicle: Vehicle) -> Array:
     """Terms of a power at random states, W, shape (terms, states)."""
     known = {symbol(n): sm.Float(vehicle.value_of(n).value) for n in vehicle.parameter_names}
-    terms = [sm.sympify(term).xreplace(known) for term in sm.Add.make_args(power)]
+    terms = [term.xreplace(known) for term in sm.Add.make_args(power)]
     names = sorted(set().union(*(term.free_symbols for term in terms)), key=str)
     count = SETTINGS.random_states
     generator = np.random.default_rng(SETTINGS.seed)
