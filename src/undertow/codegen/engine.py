@@ -28,9 +28,9 @@ _NUMBER = {code: INSTRUCTIONS[name] for name, code in vars(ca).items() if name i
 class EngineSettings:
     """Settings of loops over samples and runs."""
 
-    # Samples of a map of CasADi's: making one costs time in proportion to them, and it serves any number.
+    # Samples that are computed together where code is not compiled: making a map of CasADi's costs time in
+    # proportion to them, and it serves any number. Rows of as many are in memory together.
     chunk: int = 128
-    rows_chunk: int = 128  # samples whose rows are in memory together, where they are not compiled
     few: int = 2  # so few runs are as fast one after the other as side by side
     # Steps in the share of a thread: from a millisecond, which is worth a thread of its own, to the tenth of
     # a second that Ctrl-C may wait.

@@ -169,8 +169,8 @@ class VirtualRows:
         return np.vstack([nothing, *(table for table, _ in parts)]), sum(count for _, count in parts)
 
     def _chunks(self, columns: list[Array], p: Array) -> Iterator[tuple[Array, int]]:
-        for first in range(0, _length(columns), SETTINGS.rows_chunk):
-            rows = slice(first, first + SETTINGS.rows_chunk)
+        for first in range(0, _length(columns), SETTINGS.chunk):
+            rows = slice(first, first + SETTINGS.chunk)
             yield self._chunk(np.stack([c[rows] for c in columns]), p)
 
     def _chunk(self, columns: Array, p: Array) -> tuple[Array, int]:

@@ -22,9 +22,9 @@ from .spelling import Dialect, Part, Struct, comment, fill
 
 @dataclass(frozen=True)
 class ExampleSettings:
-    """The run of the example."""
+    """The runs of the examples."""
 
-    step: float = 0.02  # s
+    step: float = 0.02  # of the simulation, and the sample of a controller, s
     steps: int = 500
     steps_between_rows: int = 25  # that it prints
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from undertow.codegen.manifest import UNITS, Entry
 from undertow.codegen.spelling import Dialect, Part, comment, fill, identifier, slug
+from undertow.codegen.vehicle_c import EXAMPLE
 from undertow.model.symbols import FORCE, FORCE_UNITS
 
 from .controller import Controller
 
-# Sample of the example, s.
-_SAMPLE = 0.02
 _HEADING = "@REAL@ @LOWER@_heading(@REAL@ x_0, @REAL@ y_0, @REAL@ x_d, @REAL@ y_d)"
 _RULES = {
     "atan2": "  return @CALL@(atan2)(y_d - y_0, x_d - x_0);",
@@ -125,7 +124,7 @@ class _ControllerC:
   const {real} y[{upper}_REPORTS] = {{0}};
   {real} s[{upper}_STATES], u[{upper}_COMMANDS], tau[{upper}_FORCES];
   {n}_start(s);
-  {n}_step(y, {given}, s, &p, {c.constant(_SAMPLE)}, u, s, tau);
+  {n}_step(y, {given}, s, &p, {c.constant(EXAMPLE.step)}, u, s, tau);
   for (int i = 0; i < {upper}_COMMANDS; i++) {{
     printf("%.9g\\n", (double)u[i]);
   }}"""
