@@ -14,13 +14,12 @@ from undertow.typing import Array
 
 from .body import Body, fit, on_the_diagonal
 
-_GRAVITY = 9.81  # of Stonefish, whose scenarios state none, m/s^2
-
 
 @dataclass(frozen=True)
 class StonefishSettings:
     """Numbers of the export."""
 
+    gravity: float = 9.81  # of Stonefish, whose scenarios state none, m/s^2
     depth: float = 2.0  # of the origin at the start, edges of the cube that displaces the water
     gray: float = 0.5  # of the cube
     roughness: float = 0.5  # of the cube
@@ -39,7 +38,7 @@ class Stonefish(Body):
     template = "stonefish.xml"
 
     def __init__(self, vehicle: Vehicle) -> None:
-        super().__init__(vehicle, "Stonefish", _GRAVITY)
+        super().__init__(vehicle, "Stonefish", SETTINGS.gravity)
         lift, centre = self.buoyancy or (self.values["m"] * self.gravity, self.centre_of_gravity)
         self._edge = self.cube_edge(lift)
         moments, angles = _principal(self.inertia)

@@ -16,7 +16,17 @@ from .catalogue import Catalogue, catalogue
 from .composition import Statement, function_of, statement_of
 from .effect import KINDS, Effect, Wrench
 from .parameter import DIRECTIONS, Parameter
-from .symbols import DOFS, POSE, VELOCITY, failing_pivot, pose_jacobian, signal_units, signals, symbol
+from .symbols import (
+    DOFS,
+    ENVIRONMENT,
+    POSE,
+    VELOCITY,
+    failing_pivot,
+    pose_jacobian,
+    signal_units,
+    signals,
+    symbol,
+)
 from .units import dimension, require_unit
 
 # --- what a declaration has to state, and which names it may use ----------------------------------
@@ -201,7 +211,7 @@ class RandomPoints:
             return self._within(self._parameters[x])
         unit, name = self._inputs[x], x.name
         if name in ("rho", "g"):
-            return 1000.0 if name == "rho" else 9.81
+            return ENVIRONMENT.density if name == "rho" else ENVIRONMENT.gravity
         if unit == "rad":  # clear of the singularity of the Euler angles
             return self._random.uniform(-1.4, 1.4)
         return abs(self._any_size(_TRIALS.signals)) if unit == "s" else self._any_size(_TRIALS.signals)

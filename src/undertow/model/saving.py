@@ -22,6 +22,7 @@ from undertow.files import write_whole
 from .effect import Effect
 from .loading import Statements, read_vehicle_table, resolve_vehicle, vehicle_from_table
 from .parameter import Parameter, printed
+from .symbols import ENVIRONMENT
 from .tables import (
     PROPELLER_KEYS,
     SURFACE_KEYS,
@@ -407,8 +408,8 @@ def _write_head(document: Any, vehicle: Vehicle) -> None:
     if document["name"] != vehicle.name:
         document["name"] = vehicle.name
     for key, name, unit, default in (
-        ("water_density", "rho", "kg/m^3", 1000.0),
-        ("gravity", "g", "m/s^2", 9.81),
+        ("water_density", "rho", "kg/m^3", ENVIRONMENT.density),
+        ("gravity", "g", "m/s^2", ENVIRONMENT.gravity),
     ):
         raw = document.get(key, default)
         if not isclose(si_of(key, raw, unit), vehicle.environment[name], rel_tol=SETTINGS.rounding / 2):

@@ -23,6 +23,17 @@ CHANNELS = frozenset({"t", *POSE, *VELOCITY, *(f"{v}_dot" for v in VELOCITY), *(
 FASTEST = 100.0
 
 
+@dataclass(frozen=True)
+class EnvironmentSettings:
+    """Water and gravity where none are stated."""
+
+    density: float = 1000.0  # of water, fresh, kg/m^3
+    gravity: float = 9.81  # m/s^2
+
+
+ENVIRONMENT = EnvironmentSettings()
+
+
 def symbol(name: str) -> sm.Symbol:
     """Real symbol called `name`; the same name is always the same symbol."""
     return sm.Symbol(name, real=True)

@@ -29,7 +29,7 @@ from undertow.files import files_beside, read_toml
 
 from .effect import ACTUATORS, Curve, Law, Propeller, Surface
 from .parameter import Parameter, printed
-from .symbols import DOFS
+from .symbols import DOFS, ENVIRONMENT
 from .units import PULSES, si_of
 from .vehicle import Thruster, Value
 
@@ -142,8 +142,8 @@ class VehicleTable(FileTable):
     source: StrictStr = ""
     degrees_of_freedom: Annotated[list[Literal[DOFS]], Field(min_length=1)]  # type: ignore[valid-type]
     signs: Literal["sname", "magnitudes"]
-    water_density: Quantity = 1000.0
-    gravity: Quantity = 9.81
+    water_density: Quantity = ENVIRONMENT.density
+    gravity: Quantity = ENVIRONMENT.gravity
     effects_from: list[StrictStr] = []
     generalised_forces: list[Literal["tau_X", "tau_Y", "tau_Z", "tau_K", "tau_M", "tau_N"]] = []
     effects: dict[str, dict[str, Quantity | ParameterTable]]

@@ -19,7 +19,7 @@ from .effects.propellers import Propellers
 from .effects.steering_gear import SteeringGear
 from .effects.thrusters import Thrusters
 from .parameter import DIRECTIONS, Parameter
-from .symbols import CHANNELS, DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY, symbol
+from .symbols import CHANNELS, DOFS, ENVIRONMENT, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY, symbol
 from .units import short_unit
 
 
@@ -128,7 +128,9 @@ class Vehicle:
     thrusters: tuple[Thruster, ...] = ()
     force_channels: tuple[str, ...] = ()
     signs: str = "sname"
-    environment: Mapping[str, float] = field(default_factory=lambda: {"rho": 1000.0, "g": 9.81})
+    environment: Mapping[str, float] = field(
+        default_factory=lambda: {"rho": ENVIRONMENT.density, "g": ENVIRONMENT.gravity}
+    )
     surfaces: tuple[Surface, ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
     fitted_to: Mapping[str, frozenset[str]] = field(default_factory=dict, compare=False)

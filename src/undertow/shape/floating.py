@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from undertow.errors import UndertowError
+from undertow.model.symbols import ENVIRONMENT
 from undertow.typing import Array, Progress
 
 from .bodies import AddedMass
-from .hull_vehicle import GRAVITY
 from .mesh import Mesh, load_capytaine
 from .panels import UP, panels, radiated, solved
 
@@ -124,10 +124,10 @@ def _stiffness(wet: Any, mass: float, cg: float, density: float) -> Array:
 
     area, ahead, aside = float(shade.sum()), shade @ x.mean(axis=1), shade @ y.mean(axis=1)
     found = np.zeros((6, 6))
-    found[2:5, 2:5] = density * GRAVITY * np.array(
+    found[2:5, 2:5] = density * ENVIRONMENT.gravity * np.array(
         [[area, aside, -ahead], [aside, moment(y, y), -moment(x, y)], [-ahead, -moment(x, y), moment(x, x)]]
     )  # fmt: skip
-    arm = mass * GRAVITY * (cg + float(wet.center_of_buoyancy[2]))
+    arm = mass * ENVIRONMENT.gravity * (cg + float(wet.center_of_buoyancy[2]))
     found[3, 3] += arm
     found[4, 4] += arm
     return found
@@ -167,13 +167,13 @@ class FloatingBody:
         (length, beam, _), rules = np.ptp(self._fine.vertices, axis=0), FLOATING_RULES
         panel = float(np.sqrt(self._fine.faces_areas.mean()))
         ends = np.array([rules.longest * length, max(rules.shortest * beam, rules.cells * panel)])
-        low, high = np.sqrt(2 * np.pi * GRAVITY / ends)
+        low, high = np.sqrt(2 * np.pi * ENVIRONMENT.gravity / ends)
         return np.geomspace(low, high, rules.frequencies)
 
     def _check_upright(self) -> None:
         roll, pitch = self.stiffness[3, 3], self.stiffness[4, 4]
         if min(roll, pitch) <= 0:
-            gm = min(roll, pitch) / (self.mass * GRAVITY)
+            gm = min(roll, pitch) / (self.mass * ENVIRONMENT.gravity)
             raise UndertowError(
                 f"metacentric height = {gm:.3g} m: the hull does not float upright; lower the centre of "
                 "gravity with --cg 0,0,Z (below the waterline)"
@@ -219,7 +219,12 @@ class FloatingBody:
     def _radiation_problems(self, body: Any, omega: float) -> list[Any]:
         return [
             self._cpt.RadiationProblem(
-                body=body, radiating_dof=d, omega=omega, rho=self.density, g=GRAVITY, free_surface=0.0
+                body=body,
+                radiating_dof=d,
+                omega=omega,
+                rho=self.density,
+                g=ENVIRONMENT.gravity,
+                free_surface=0.0,
             )
             for d in body.dofs
         ]
@@ -236,7 +241,12 @@ class FloatingBody:
         # With z up a wave that travels to starboard travels to minus y.
         problems = [
             self._cpt.DiffractionProblem(
-                body=self._body, wave_direction=-h, omega=omega, rho=self.density, g=GRAVITY, free_surface=0.0
+                body=self._body,
+                wave_direction=-h,
+                omega=omega,
+                rho=self.density,
+                g=ENVIRONMENT.gravity,
+                free_surface=0.0,
             )
             for h in headings
         ]
@@ -278,10 +288,10 @@ class FloatingBody:
                 },
                 head
                 | {
-                    "wavenumber": omega**2 / GRAVITY,
+                    "wavenumber": omega**2 / ENVIRONMENT.gravity,
                     "water_depth": np.inf,
                     "rho": self.density,
-                    "g": GRAVITY,
+                    "g": ENVIRONMENT.gravity,
                 },
             )
             X = xr.DataArray(

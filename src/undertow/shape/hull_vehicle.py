@@ -19,7 +19,7 @@ from undertow.model.effects.added_mass import AddedMass as AddedMassEffect
 from undertow.model.effects.added_mass_coupling import AddedMassCoupling
 from undertow.model.effects.linear_damping import LinearDamping
 from undertow.model.loading import vehicle_from_table
-from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.symbols import DOFS, ENVIRONMENT, FORCE, VELOCITY
 from undertow.model.tables import VehicleTable
 from undertow.model.vehicle import Value, Vehicle
 from undertow.typing import Array
@@ -215,7 +215,6 @@ def _keys(vehicle: Vehicle, name: str) -> list[str]:
     return ways if ways[0] in vehicle.values else [name]
 
 
-GRAVITY = 9.81
 _WIDTH = 110
 _UNITS = {"m": ("kg", "kg m^2"), "d": ("kg/s", "kg m^2/s"), "q": ("kg/m", "kg m^2")}
 
@@ -484,7 +483,7 @@ def _quadratic_drag(drag: Drag, spec: HullSpec) -> Iterator[str]:
 
 def _restoring(mesh: Mesh, spec: HullSpec) -> Iterator[str]:
     volume = mesh.volume if spec.volume is None else spec.volume
-    buoyancy = spec.density * GRAVITY * volume
+    buoyancy = spec.density * ENVIRONMENT.gravity * volume
     text = "volume of the hull" if spec.volume is None else "volume as stated"
     source = f"{text}, {volume:.5g} m^3, times density and gravity"
     yield entry_line("B", buoyancy, "N", sigma=_RULES.buoyancy * buoyancy, estimate=True, source=source)

@@ -9,10 +9,11 @@ from math import log10, pi, sqrt
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.model.symbols import ENVIRONMENT
 from undertow.typing import Array
 
 from .bodies import AddedMass, box, ellipsoid, equivalent, positive
-from .hull_vehicle import GRAVITY, EffectTable, Hardware, HullSpec, entry_line, hull_tables, vehicle_text
+from .hull_vehicle import EffectTable, Hardware, HullSpec, entry_line, hull_tables, vehicle_text
 from .mesh import Faces, Mesh
 
 
@@ -139,7 +140,7 @@ def _submerged(size: MainDimensions, mesh: Mesh, added: AddedMass) -> list[Effec
         degrees_of_freedom=_SIX,
         origin=np.zeros(3),
     )
-    weight = size.mass * GRAVITY
+    weight = size.mass * ENVIRONMENT.gravity
     text = "assumed: trimmed to float, as heavy as the vehicle"
     afloat = _guess("B", weight, "N", _RULES.trim * weight, text)
     tables = [t for t in hull_tables(mesh, added, spec) if t.id != "restoring"]
@@ -543,7 +544,7 @@ def _ship_lift(size: MainDimensions, clarke: dict[str, float], share: float) -> 
 
 
 def _resistance(size: MainDimensions) -> str:
-    speed = _RULES.froude * sqrt(GRAVITY * size.length)
+    speed = _RULES.froude * sqrt(ENVIRONMENT.gravity * size.length)
     friction = 0.075 / (log10(speed * size.length / 1.19e-6) - 2) ** 2
     wetted = 1.7 * size.length * size.height + size.displaced / size.height
     value = size.density / 2 * wetted * friction * _RULES.resistance

@@ -15,9 +15,9 @@ from scipy.spatial import cKDTree
 
 from undertow.errors import UndertowError
 from undertow.files import make_folder, templates, together, write_whole
-from undertow.model.symbols import DOFS
+from undertow.model.symbols import DOFS, ENVIRONMENT
 from undertow.shape.bodies import equivalent
-from undertow.shape.hull_vehicle import GRAVITY, drag_of_hull
+from undertow.shape.hull_vehicle import drag_of_hull
 from undertow.shape.mesh import Mesh, stl_bytes
 from undertow.typing import Array
 
@@ -166,7 +166,7 @@ def _check_depth(plan: TankPlan, depth: float, least: float) -> None:
 
 
 def _check_waves(cases: Sequence[Case], depth: float) -> None:
-    slow = RULES.froude * float(np.sqrt(GRAVITY * depth))
+    slow = RULES.froude * float(np.sqrt(ENVIRONMENT.gravity * depth))
     quick = [c for c in cases if c.profile != "push" and c.speed > slow]
     if quick:
         raise UndertowError(

@@ -19,6 +19,7 @@ from tomlkit.items import Table
 
 from undertow.errors import UndertowError, nearest
 from undertow.files import read_toml
+from undertow.model.symbols import ENVIRONMENT
 from undertow.model.tables import validated
 from undertow.model.units import si_of
 from undertow.typing import Array, Flags
@@ -563,9 +564,15 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return float(np.radians(along)), float(np.radians(across * np.cos(lat)))
 
 
-_SEA_WATER = 1025.0  # kg/m^3; in fresh water a depth is 2.5 % more
-_GRAVITY = 9.81  # m/s^2
-_ATMOSPHERE = 101325.0  # Pa
+@dataclass(frozen=True)
+class PressureSettings:
+    """What a pressure is taken for where the log does not say; the note on a depth states it."""
+
+    density: float = 1025.0  # of sea water, kg/m^3; in fresh water a depth is 2.5 % more
+    atmosphere: float = 101325.0  # standard, Pa
+
+
+_PRESSURE = PressureSettings()
 
 
 def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, str]:
@@ -574,12 +581,12 @@ def depth(pascal: float, *, absolute: bool, down: float = 1.0) -> tuple[Column, 
     `pascal` is Pa in one of its unit, `absolute` whether it has the air above the water in it, `down` 1 where
     z counts downwards in the log and -1 where it counts upwards.
     """
-    metre = _SEA_WATER * _GRAVITY
-    above = _ATMOSPHERE if absolute else 0.0
+    metre = _PRESSURE.density * ENVIRONMENT.gravity
+    above = _PRESSURE.atmosphere if absolute else 0.0
     column = Column(
         channel="z", unit="m", scale=down * pascal / metre, offset=-down * above / metre if above else 0.0
     )
-    assumed = f"{_SEA_WATER:g} kg/m^3 and {above:g} Pa at the surface"
+    assumed = f"{_PRESSURE.density:g} kg/m^3 and {above:g} Pa at the surface"
     return column, f"{assumed}: for other water change `scale` in a mapping file"
 
 
