@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 _KEY = re.compile(r"(vehicle|day)=(.*)")
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d\d)-?(\d\d)(?!\d)")
-# Times beyond this, s, count from 1970; a log on its own clock does not last three years.
-_EPOCH = 1e8
 
 
 @dataclass(frozen=True, order=True)
@@ -133,6 +131,8 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
     stated = key if key is not None else head.get("day")
     if isinstance(stated, date):
         return stated.date() if isinstance(stated, datetime) else stated
+    from undertow.identification.logs.table import WHOLE
+
     time = head.get("time")
     texts = [str(stated)] if stated is not None else [path.stem, *([time] if isinstance(time, str) else [])]
     match = next((found for text in texts if (found := _DATE.search(text))), None)
@@ -143,7 +143,7 @@ def _day(path: Path, key: str | None, head: dict[str, Any]) -> date:
             raise UndertowError(f"{path}: '{match[0]}' is not a date: {error}") from error
     if stated is None and isinstance(time, datetime):
         return time.date()
-    if stated is None and isinstance(time, int | float) and time > _EPOCH:
+    if stated is None and isinstance(time, int | float) and time > WHOLE.own_clock:
         return _date_of(path, time)
     raise UndertowError(
         f"{path} does not give its date: name the folder day=2026-05-01, the file 2026-05-01{path.suffix}, "

@@ -32,7 +32,9 @@ class ClockSettings:
     spans: tuple[int, ...] = (10, 20, 40, 80, 160, 320)
     steady: float = 1.2
     same: float = 1.5  # factor within which they and the speed are the same
-    fastest: float = 50.0  # m/s that no vehicle in water reaches
+    # Usual speed of a whole log, m/s, that is too much: a unit is wrong, and asked about. `FASTEST` of the
+    # model is larger, since a single speed beyond it is refused.
+    fastest: float = 50.0
     # Share of the log by which times of too few digits may be off evenly spaced rows: the interval is then
     # known to one percent.
     even: float = 0.01

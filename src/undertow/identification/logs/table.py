@@ -200,7 +200,8 @@ class LogLimits:
     columns: int = 5_000  # columns
     line: int = 1_000_000  # bytes of one line
     piece: int = 1 << 20  # bytes that are unpacked, or searched for a header, at a time
-    # Times beyond it, three years in s, are dates counted from some epoch, and count from the first sample.
+    # Times beyond it, three years in s, are dates counted from some epoch, and count from the first sample: a
+    # log on its own clock does not last so long.
     own_clock: float = 1e8
     # Rows that the operation on the log can take, blank ones and comments included.
     rows: int | None = None

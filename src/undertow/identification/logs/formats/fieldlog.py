@@ -52,7 +52,16 @@ class UnionSettings:
     # s that are read on either side of a part of a log: commands that are held there were sent before.
     margin: float = 10.0
     guess_rows: int = 20_000  # samples from which the meaning of columns is guessed; more change no guess
-    since: float = 1e6  # s; a clock that begins later does not begin with the log
+    # s; a clock that begins later does not begin with the log: its times count from the first one of all such
+    # clocks. `LogLimits.own_clock`, by which times are dates, is larger: here a vehicle that has been on for
+    # two weeks is enough, whose other series may begin with the log.
+    since: float = 1e6
+    # s by which the stamps of a series may differ from the times at which it was recorded, in the median:
+    # beyond it they are of another clock.
+    apart: float = 10.0
+    # Elements of a list, or columns of a matrix, that are measurements of their own, at most: commands and
+    # beams, but no covariances of six by six.
+    widest: int = 16
 
 
 SETTINGS = UnionSettings()

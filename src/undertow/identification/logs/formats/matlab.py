@@ -26,6 +26,7 @@ from undertow.identification.logs.table import has_dates, seconds
 from undertow.typing import Array
 
 from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns
+from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
 _WORKSPACE = "workspace"
@@ -36,7 +37,6 @@ _ITSELF = {"values", "value", "data"}  # a member that is what its struct is cal
 class MatlabSettings:
     """Numbers that decide what of a file is read."""
 
-    widest: int = 16  # columns of a matrix that are measurements of their own
     # Share of the samples of the shortest clock from which a variable is a measurement, not a setting.
     run: float = 0.5
     # Numbers of days that are dates (datenum): from 1970 to 2100.
@@ -250,7 +250,7 @@ def _columns(name: str, array: Array, clocks: Mapping[int, Array]) -> tuple[int,
         return len(array), {name: array}
     upright = array if array.shape[0] in clocks or array.shape[1] not in clocks else array.T
     rows, width = upright.shape
-    if width > SETTINGS.widest:
+    if width > UNION.widest:
         return rows, {}
     return rows, dict(zip(names_of_columns(name, width), upright.T, strict=True))
 

@@ -23,6 +23,7 @@ from undertow.model.units import scale_offset
 from undertow.typing import Array
 
 from .by_name import fits, guessed, names_of_columns
+from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series, library
 from .glider import KNOWN as SLOCUM
 
@@ -30,7 +31,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _CLASSIC = (b"CDF\x01", b"CDF\x02", b"CDF\x05")
 _SUFFIXES = (".nc", ".nc4", ".cdf", ".netcdf")
 _PHONY = "phony_dim"
-_WIDEST = 16  # columns of a variable with a second dimension that are measurements of their own
 _BAD = (4, 8, 9)  # flags of quality: bad, interpolated, missing
 # Names of CF, and the sign by which they are ours: NED and forward-starboard-down.
 _STANDARD = {
@@ -145,7 +145,7 @@ def _variables(variable: Any, group: Any) -> Iterator[_Variable]:
     """The columns of a variable, blank where it has no value."""
     if variable.dtype.kind not in "biuf" or variable.ndim > 2:
         return
-    if variable.ndim == 2 and variable.shape[1] > _WIDEST:
+    if variable.ndim == 2 and variable.shape[1] > UNION.widest:
         return
     values = np.ma.filled(np.ma.asarray(variable[:]).astype(np.float64), np.nan)
     flags = [group.variables.get(variable.name + end) for end in ("_QC", "_qc")]

@@ -32,6 +32,7 @@ from undertow.identification.logs.mapping import (
 )
 from undertow.typing import Array, Flags
 
+from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series, library
 
 # --- what messages mean ---------------------------------------------------------------------------
@@ -422,11 +423,7 @@ _WHAT = "a log of ROS"
 class RosSettings:
     """Limits on the messages of a bag that are read, and on what they carry."""
 
-    # Elements of a list that become columns, at most: commands and beams, but no covariances of six by six.
-    longest: int = 16
     largest: int = 16384  # bytes; longer messages are pictures and clouds of points
-    # Seconds between the stamps of a topic and the clock of the bag, beyond which they are of another clock.
-    apart: float = 10.0
     kept: int = 400_000_000  # bytes of messages that are held at once
     together: int = 10_000  # messages that are decoded at once: an object takes ten times its bytes
     # Pa; absolute pressure is more, so that a smaller number is in hPa (mbar), as many drivers have it.
@@ -533,7 +530,7 @@ class _Types:
 
     def _elements(self, element: tuple[int, Any], values: list[Any]) -> Iterator[tuple[str, Array]]:
         counts = np.array([len(value) for value in values])
-        if np.max(counts, initial=0) > SETTINGS.longest:
+        if np.max(counts, initial=0) > UNION.widest:
             return
         for k in range(int(np.max(counts, initial=0))):
             valid = counts > k
@@ -643,7 +640,7 @@ def _times(one: _Records, types: _Types, begin: int) -> tuple[Array, str]:
         return recorded, "messages without a time stamp: their recording times are used"
     t = (stamped - begin).astype(np.float64) * 1e-9
     apart = float(np.median(t - recorded))
-    if abs(apart) > SETTINGS.apart:
+    if abs(apart) > UNION.apart:
         return recorded, f"stamps are {apart:.6g} s off the clock of the bag: recorded times are used"
     return t, ""
 

@@ -29,11 +29,12 @@ from undertow.identification.logs.guess_clock import (
 from undertow.identification.logs.guess_names import Name, unit_of_clock
 from undertow.identification.logs.mapping import SECONDS, name_of_log
 from undertow.identification.logs.run import UNITS, later_than_before
-from undertow.identification.logs.table import lacking_zeros
+from undertow.identification.logs.table import WHOLE, lacking_zeros
 from undertow.typing import Array
 
 from .by_name import CLOCK, numbered
 from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, in_order
+from .fieldlog import SETTINGS as UNION
 
 ENDS = (".csv", ".csv.gz", ".parquet")
 """Ends of the names of tables."""
@@ -44,8 +45,6 @@ class TableSettings:
     """Limits on the tables of a run."""
 
     late: float = 0.05  # share of stamps that may be no later than one before
-    since: float = 1e8  # s since 1970; stamps of messages are later
-    apart: float = 10.0  # s by which stamps of the same clock may differ from the recording
     quarter: float = 900.0  # s; clocks of two time zones differ by a multiple of it
     named: int = 3  # how many of the files left out are named
     deep: int = 4  # depth of nested folders that is searched
@@ -127,7 +126,7 @@ def _series(file: Path, name: str) -> tuple[Series, list[str]]:
         # The recording may count in local time, as the other tables of the run do.
         late = float(np.nanmedian(t - stamps))
         zone = SETTINGS.quarter * round(late / SETTINGS.quarter)
-        if abs(late - zone) < SETTINGS.apart:
+        if abs(late - zone) < UNION.apart:
             return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)})), []
     return Series(name, t, _without(data, columns_of(clock))), lacking_zeros(table, clock.column)
 
@@ -149,7 +148,7 @@ def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
         unit = "s" if name in halves else unit_of_clock(name)
         unit = unit or unit_by_steps(there, float(np.nanmedian(np.diff(there))))
         t = counted * SECONDS[unit]
-        if np.nanmin(t) > SETTINGS.since:
+        if np.nanmin(t) > WHOLE.own_clock:
             return t, (name, halves[name]) if name in halves else (name,)
     return None, ()
 

@@ -57,7 +57,9 @@ class TelemetrySettings:
     # Times of arrival that are believed, microseconds since 1970: from 2000 to 2100.
     arrivals: tuple[float, float] = (946684800e6, 4102444800e6)
     restart: float = 2.0  # s by which the vehicle's clock falls back when it boots anew
-    largest_delay: float = 10.0  # s by which a time of the vehicle may differ from that of arrival
+    # s by which the vehicle's time of a single message may differ from that of its arrival; the offset of the
+    # two clocks is known by then, while `UnionSettings.apart` is of the offset.
+    largest_delay: float = 10.0
     slow_commands: float = 5.0  # messages a second below which commands between them are worth a word
 
 
