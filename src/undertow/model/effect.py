@@ -445,8 +445,10 @@ class ActuatorSettings:
     """Numbers by which directions of thrusters and surfaces, and curves of thrust, are judged."""
 
     # Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files.
+    # It chooses between two equations, and a thruster that stands a little oblique is none across the hull.
     largest_part_ahead: float = 1e-6
-    # How far an axis may miss a unit vector across the x axis, and is then a rounded one.
+    # How far an axis of a surface may miss a unit vector across the x axis, and is then a rounded one. It
+    # refuses only: an axis as people write it, of three decimals, is taken, and its length is made one.
     axis_error: float = 1e-3
     # Difference of a stated moment and that of the position and direction beside it, relative or in m, up to
     # which they are the same: rounding.
