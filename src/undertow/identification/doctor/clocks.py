@@ -35,9 +35,10 @@ class ClockSettings:
     converged: float = 0.02  # change, in sampling steps, that ends them
     certain: float = 5.0  # standard errors of a shift of a source
     steps: float = 0.5  # sampling steps below which such a shift does not matter
-    longest: float = 1.0  # s that a step may change a shift by
-    command_rounds: int = 8  # the same for commands
-    command_certain: float = 6.0
+    longest: float = 1.0  # s that a step may change a shift by, of a source and of commands
+    command_rounds: int = 8  # steps for commands
+    command_converged: float = 0.2  # change, in sampling steps, that ends them
+    command_certain: float = 6.0  # the same as for a source
     command_steps: float = 3.0
     cluster: int = 8  # neighbouring test functions that count as one
     # delays of commands to begin with, s
@@ -403,8 +404,8 @@ def _search(at: Dynamics, start: Array, drifts: bool) -> tuple[Array, Array, flo
         if stepped is None:
             return None
         change, error, left = stepped
-        found = found + np.clip(change, -1.0, 1.0)
-        if np.all(np.abs(change) < 0.2 * step):
+        found = found + np.clip(change, -SETTINGS.longest, SETTINGS.longest)
+        if np.all(np.abs(change) < SETTINGS.command_converged * step):
             break
     return found, error, left
 

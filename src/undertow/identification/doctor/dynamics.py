@@ -44,7 +44,8 @@ from .mistakes import (
     rescaled,
     with_channels,
 )
-from .sensors import inconsistent
+from .sensors import SETTINGS as SENSORS
+from .sensors import inconsistent, still_good
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,9 @@ class DynamicsSettings:
     as_good: float = 1.5  # explanations within this factor of the best one's are as good as it
     false_alarm_rate: float = 0.01  # of predictions that say that commands are wired in another way
     changes: float = 1e-9  # change of a sample that is none
+    # Largest command over full power, and longest pulse in microseconds, in a log that has no other unit.
+    full: float = 1.05
+    longest_pulse: float = 2310.0
     # Share of the motion by which pose rates and velocities may disagree in a log that is evidence at all.
     unreadable: float = 0.5
     lightest: float = 0.6  # another mass is accepted from this factor of the one in the file
@@ -377,11 +381,11 @@ def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
     if not limits:
         return
     largest = max(float(np.nanmax(np.abs(r.channels[n]))) for r in runs for n in limits)
-    travel, middle = PULSES.span, PULSES.neutral
+    travel, middle, longest = PULSES.span, PULSES.neutral, SETTINGS.longest_pulse
     units = {  # scale, offset, and what the largest in a log is at least and at most
-        "in percent of the limit": (0.01, 0.0, 1.05, 105.0),
-        "a share of the limit (-1 to 1)": (1.0, 0.0, 0.0, 1.05),
-        "pulse widths in microseconds": (1.0 / travel, -middle / travel, middle - travel, 2310.0),
+        "in percent of the limit": (0.01, 0.0, SETTINGS.full, 100.0 * SETTINGS.full),
+        "a share of the limit (-1 to 1)": (1.0, 0.0, 0.0, SETTINGS.full),
+        "pulse widths in microseconds": (1.0 / travel, -middle / travel, middle - travel, longest),
     }
     for clause, (scale, offset, least, most) in units.items():
         nothing = offset == 0.0 and all(top * scale == 1.0 for top in limits.values())
@@ -512,7 +516,7 @@ def consistent_with_kinematics(
         if _is_one_of(now, seen):
             continue
         undone = [mistake.undo(run) for run in runs]
-        if given is None or np.all(kinematics.mismatch(undone).excess < 1.25 * given.excess + 0.01):
+        if given is None or np.all(kinematics.mismatch(undone).excess < still_good(given.excess)):
             seen.append(now)
             result.append(mistake)
     return result
@@ -539,7 +543,7 @@ def _signature(at: Dynamics, run: Run) -> np.ndarray:
     """A few samples of the channels of a log that the model uses."""
     names = [n for n in (*at.data.names, *at.data.commands) if run.has(n) and n not in ("x", "y")]
     names += [n for n in ("x", "y") if run.derived and run.has(n)]
-    step = max(1, len(run.t) // 50)
+    step = max(1, len(run.t) // SENSORS.signature)
     return np.array([run.channels[n][::step] for n in names])
 
 

@@ -40,7 +40,7 @@ from .mistakes import (
     reading_mistakes,
     rescaled,
 )
-from .sensors import clustered_least_squares
+from .sensors import clustered_least_squares, still_good
 
 
 @dataclass(frozen=True)
@@ -358,7 +358,7 @@ class _PlausibilityCheck:
         if not self.kinematics:
             return True
         given = self.kinematics.mismatch(self.runs).total
-        return self.kinematics.mismatch(self.without(mistake)).total < 1.25 * given + 0.01
+        return bool(self.kinematics.mismatch(self.without(mistake)).total < still_good(given))
 
     def _units_of_motion(self) -> Iterator[Mistake]:
         """Units of what was measured."""
@@ -403,13 +403,13 @@ class _PlausibilityCheck:
         return None
 
     def _fastest(self, runs: Sequence[Run], names: tuple[str, ...]) -> float:
-        """Speed, or rate of turn, that a twentieth of the samples exceed."""
+        """Speed, or rate of turn, that the usual share of the samples exceeds."""
         own = [n for n in names if n in self.vehicle.velocity_names]
         if not own:
             return 0.0
         total = np.concatenate([np.sqrt(np.sum(run.matrix(own) ** 2, axis=1)) for run in runs])
         present = total[np.isfinite(total)]
-        return float(np.quantile(present, 0.95)) if len(present) else 0.0
+        return float(np.quantile(present, 1.0 - PLAUSIBLE.exceeding)) if len(present) else 0.0
 
     def _too_fast(
         self, names: tuple[str, ...], value: float, limit: float, mass: float
@@ -467,7 +467,7 @@ class _PlausibilityCheck:
         known = []
         for mistake in other_units(self.vehicle, self.runs):
             undone = [mistake.undo(run) for run in self.runs]
-            if all(_rms(undone, n) <= 1.5 * limit for n, limit in limits.items()):
+            if all(_rms(undone, n) <= self.settings.limit_undone * limit for n, limit in limits.items()):
                 known.append(mistake)
         known = known or [scaled_commands(tuple(beyond), float(1.0 / np.median([*beyond.values()])))]
         value, limit = beyond[worst] * limits[worst], limits[worst]
@@ -538,7 +538,7 @@ def _rms(runs: Sequence[Run], name: str) -> float:
 def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:
     """Commands too large or too small by a factor, rounded if near a power of ten."""
     ten = 10.0 ** round(np.log10(found))
-    factor = ten if max(found / ten, ten / found) < 2.5 else float(f"{found:.2g}")
+    factor = ten if max(found / ten, ten / found) < PLAUSIBLE.power_of_ten else float(f"{found:.2g}")
 
     which = f"command {names[0]} is" if len(names) == 1 else f"commands {', '.join(names)} are"
     size = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"

@@ -181,6 +181,7 @@ class PlausibilitySettings:
     fastest: float = 75.0
     # Centripetal acceleration at V^(1/3) from the axis, in g: small vehicles on the spot reach 0.2.
     turning: float = 1.0
+    exceeding: float = 0.05  # share of the samples that exceed what is taken for the speed of a log
     small_step: float = 0.5  # change of an angle from sample to sample beside a jump, rad
     # Pitch ends upright: beyond that, in more than such a share of the samples, it is none, rad.
     pitch: float = 1.05 * np.pi / 2
@@ -188,6 +189,9 @@ class PlausibilitySettings:
     # Rms of a command over its limit in the vehicle file. Controllers that wind up log a few times the limit;
     # thousandths and pulse widths (1500) are far beyond.
     limit: float = 10.0
+    limit_undone: float = 1.5  # the same up to which a unit explains it
+    # Factor within which a scale of commands is taken for a power of ten.
+    power_of_ten: float = 2.5
     # beyond, often: command over its limit that counts as beyond it, and the share of such samples from which
     # it is said. A limit is stated to two or three digits.
     over_limit: float = 1.02

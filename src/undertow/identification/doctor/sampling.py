@@ -28,6 +28,9 @@ class SamplingSettings:
     whole_digit: float = 1e-3
     gap: float = 5.0  # steps of this many usual ones are gaps: nothing is integrated across them
     missing: float = 0.02  # share of rows or cells that are missing
+    # Times that share, of rows and of cells, from which a note is a warning.
+    many_rows: float = 5.0
+    many_cells: float = 10.0
     most_time: float = 0.5  # share of the time in gaps, many of them, from which rows come in bursts
     # Where rows are lost from an even clock, this share of the longer steps is a whole number of usual ones,
     # as near as this; an irregular clock has steps of any length.
@@ -35,9 +38,13 @@ class SamplingSettings:
     whole_tolerance: float = 0.2
     held: float = 1.8  # rows per new value from which a sensor counts as slower than its log
     irregular: float = 0.35  # share of its intervals that may be irregular
+    # By that share of the usual one, or by one row; and the fewest intervals that show it.
+    regular: float = 0.2
+    intervals: int = 10
     excited: float = 3.0  # rms over noise below which a motion is not informative
     moving_share: float = 0.1  # share of its usual largest value from which a velocity is motion
-    over_noise: float = 3.0  # and how many times its noise
+    usual_largest: float = 0.98  # share of the samples that stay below that value
+    over_noise: float = 3.0  # times its noise from which a velocity is motion
     one_way: float = 0.05  # share of the motion below which a direction was not excited
     # Squared correlation of speed and its square beyond which drag laws cannot be told apart.
     indistinct_laws: float = 0.985
@@ -53,6 +60,7 @@ class SamplingSettings:
     least_noise: tuple[tuple[str, float], ...] = (("m", 1e-5), ("rad", 1e-6), ("m/s", 1e-5), ("rad/s", 1e-7))
     line_bins: int = 5  # bins of the spectrum that a line takes up, through a Hann window
     spectrum_samples: int = 256  # samples of a segment whose spectrum is taken
+    cut_offs: int = 40  # frequencies that are tried for the place where it is cut off
     # Share of the steepest fall of the spectrum over half an octave, in decibel, from which it is cut off.
     cut_off_slope: float = 0.7
     # Share of the usual slope below which a change of slope is rounding, and above which it is a new sample;
@@ -208,7 +216,7 @@ def _lost_rows(run: Run, step: Array, usual: float) -> Iterator[Finding]:
     longest = f", the longest of {gaps.max():.4g} s at t = {place:.5g} s" if len(gaps) else ""
     yield Finding(
         id="gaps",
-        severity="warning" if share > 5 * SETTINGS.missing else "note",
+        severity="warning" if share > SETTINGS.many_rows * SETTINGS.missing else "note",
         text=f"{share:.1%} of the rows are missing at a usual step of {usual:.4g} s "
         f"({len(few)} short spells, {len(gaps)} gaps{longest}); nothing is interpolated",
         evidence={"share": share, "gaps": float(len(gaps)), "longest": float(step.max())},
@@ -239,7 +247,7 @@ def _missing_samples(run: Run, channels: Sequence[str]) -> Iterator[Finding]:
     others, removed = ", ".join(n for n in several if n != worst), run.outliers.get(worst)
     yield Finding(
         id="missing_samples",
-        severity="warning" if shares[worst] > 10 * SETTINGS.missing else "note",
+        severity="warning" if shares[worst] > SETTINGS.many_cells * SETTINGS.missing else "note",
         text=f"{worst} has no value in {shares[worst]:.1%} of the rows"
         + (f", with {removed} outliers that were removed" if removed else "")
         + (f" (missing samples also in {others})" if others else ""),
@@ -301,12 +309,13 @@ def _period(run: Run, name: str) -> tuple[float, float] | None:
     there = _reports(run, name)
     y, t = run.channels[name][there], run.t[there]
     at = np.flatnonzero(np.diff(y) != 0.0)
-    if len(at) < 10:
+    if len(at) < SETTINGS.intervals:
         return None
     # A coarse reading at rest repeats itself, too, but not at regular intervals.
     between = np.diff(at)
     usual = float(np.median(between))
-    regular = float(np.mean(np.abs(between - usual) <= np.maximum(1.0, 0.2 * usual))) > 1 - SETTINGS.irregular
+    near = np.abs(between - usual) <= np.maximum(1.0, SETTINGS.regular * usual)
+    regular = float(np.mean(near)) > 1 - SETTINGS.irregular
     # Where the sensor moves by many of its steps from row to row, or by no whole number of them, repeats are
     # no coarse readings.
     steps = np.abs(y[at + 1] - y[at])
@@ -405,7 +414,7 @@ def _cut_off_frequency(t: Array, y: Array) -> float:
 
     f, power = welch(np.diff(y), 1 / step, "blackmanharris", SETTINGS.spectrum_samples, detrend="linear")
     level = 10 * np.log10(power[1:] / np.sin(np.pi * f[1:] * step) ** 2 + 1e-300)
-    grid = np.geomspace(f[4], f[-1] / np.sqrt(2), 40)
+    grid = np.geomspace(f[4], f[-1] / np.sqrt(2), SETTINGS.cut_offs)
     fall = np.interp(grid, f[1:], level) - np.interp(np.sqrt(2) * grid, f[1:], level)
     return float(grid[np.argmax(fall >= SETTINGS.cut_off_slope * np.max(fall))])
 
@@ -441,7 +450,7 @@ class _Motion:
     def threshold(self) -> float:
         return max(
             SETTINGS.over_noise * self.noise,
-            SETTINGS.moving_share * float(np.quantile(np.abs(self.all), 0.98)),
+            SETTINGS.moving_share * float(np.quantile(np.abs(self.all), SETTINGS.usual_largest)),
         )
 
     @property

@@ -47,7 +47,7 @@ class SensorSettings:
     least_mismatch: float = 0.02
     over_noise: float = 4.0  # mismatch over that by noise alone from which it counts
     decisive: float = 4.0  # factor that undoing a mistake must take off the mean square
-    worse: float = 1.25  # factor by which another pose rate may get worse
+    worse: float = 1.25  # factor by which a pose rate may get worse where a mistake is undone
     worse_by: float = 0.01  # and by how much on top of that
     # Explanations that leave no more than this many times the best one's excess are as good as it.
     as_good: float = 2.0
@@ -59,9 +59,17 @@ class SensorSettings:
     reported: float = 5e-4  # mismatch below which it is not reported
     least_water: float = 2e-3  # the same for the velocity of the water
     sensor_as_good: float = 2.0  # as `as_good`, of a sensor beside a mistake
+    sensor_as_good_by: float = 0.02  # and the share of the mismatch by which it may be worse on top of that
     scale_error: float = 0.3  # standard error from which the scale of a velocity is not determined
     unexplained: float = 0.05  # mismatch that is reported where nothing explains it
     misaligned: float = 0.5  # largest angle by which a sensor is misaligned, rad
+    # Of real sensors, at most: bias of a rate, rad/s, error of its scale, delay, s, and distance from the
+    # origin, m.
+    rate_bias: float = 0.2
+    rate_scale: float = 0.5
+    delay: float = 3.0
+    lever_arm: float = 5.0
+    signature: int = 50  # samples of a run, about, that tell whether two readings are the same
     quarter: float = 0.1  # angle from a quarter turn within which that is meant, rad
     no_signal: float = 1e-3  # share of the other below which a pose rate, or a velocity, measures nothing
 
@@ -133,8 +141,8 @@ def sensors(kinematics: Kinematics) -> list[Sensor]:
         kinds += _of_linear(linear, angular)
     if angular and kinematics.rows[-1] in ("phi", "theta", "psi"):
         biases, scales = tuple(f"b_{n} rad/s" for n in angular), tuple(f"s_{n}" for n in angular)
-        kinds.append(Sensor("sensor_bias", biases, _columns_of(_bias, angular), 0.2))
-        kinds.append(Sensor("sensor_scale", scales, _columns_of(_scale, angular), 0.5))
+        kinds.append(Sensor("sensor_bias", biases, _columns_of(_bias, angular), SETTINGS.rate_bias))
+        kinds.append(Sensor("sensor_scale", scales, _columns_of(_scale, angular), SETTINGS.rate_scale))
     return kinds
 
 
@@ -143,7 +151,7 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
         Sensor("sensor_bias", tuple(f"b_{n} m/s" for n in linear), _columns_of(_bias, linear)),
         # A Doppler log set for another speed of sound is some percent off; knots are half of what they say.
         Sensor("sensor_scale", ("s",), _common_scale, PLAUSIBLE.scale),
-        Sensor("sensor_delay", ("delay s",), _delay, 3.0),
+        Sensor("sensor_delay", ("delay s",), _delay, SETTINGS.delay),
         Sensor(LATE_COURSE, ("delay s",), _course_delay),
         Sensor("water", ("north m/s", "east m/s", "down m/s")[: 3 if "w" in linear else 2], _water(linear)),
     ]
@@ -154,7 +162,11 @@ def _of_linear(linear: list[str], angular: list[str]) -> list[Sensor]:
     names = [n for n, seen in arms.items() if seen]
     if names:
         places = ["xyz".index(n[0]) for n in names]
-        found.append(Sensor("velocity_lever_arm", tuple(f"{n} m" for n in names), _lever_arm(places), 5.0))
+        found.append(
+            Sensor(
+                "velocity_lever_arm", tuple(f"{n} m" for n in names), _lever_arm(places), SETTINGS.lever_arm
+            )
+        )
     return found
 
 
@@ -287,8 +299,13 @@ def inconsistent(mismatch: Mismatch, least: float = SETTINGS.least_mismatch) -> 
 def explains(before: Mismatch, after: Mismatch) -> bool:
     """Whether a mismatch vanishes decisively, and none appears elsewhere."""
     wrong, gone = inconsistent(before), _vanishes(before, after)
-    worse = after.excess > SETTINGS.worse * before.excess + SETTINGS.worse_by
+    worse = after.excess > still_good(before.excess)
     return bool(np.any(wrong & gone) and not np.any(worse))
+
+
+def still_good(excess: float | Array) -> float | Array:
+    """The mismatch up to which nothing got worse, by that before."""
+    return SETTINGS.worse * excess + SETTINGS.worse_by
 
 
 def contradicts(found: Explained, chosen: Mistake) -> bool:
@@ -431,7 +448,7 @@ def _distinct(kinematics: Kinematics, runs: Sequence[Run], known: Iterable[Mista
 
 def _some_samples(kinematics: Kinematics, run: Run) -> Array:
     """A few samples of the channels that take part."""
-    step = max(1, len(run.t) // 50)
+    step = max(1, len(run.t) // SETTINGS.signature)
     return np.array([run.channels[n][::step] for n in kinematics.channels])
 
 
@@ -446,7 +463,7 @@ def as_good_as(explained: Explained, fits: Sequence[SensorFit]) -> list[SensorFi
     """Sensors' deviations that explain a mismatch as well as a mistake does, wherever that explains it."""
     before, after = explained.before.excess, explained.after.excess
     gone = inconsistent(explained.before) & (after <= before / SETTINGS.decisive)
-    limit = SETTINGS.sensor_as_good * after + 0.02 * before
+    limit = SETTINGS.sensor_as_good * after + SETTINGS.sensor_as_good_by * before
     return [f for f in fits if f.sensor.id != "water" and np.all((f.after.excess <= limit)[gone])]
 
 
@@ -456,7 +473,11 @@ def through_water(kinematics: Kinematics, before: Mismatch, fits: Sequence[Senso
     if kinematics.rows[0] != "x":
         return None
     water = next((f for f in fits if f.sensor.id == "water"), None)
-    if water is None or before.excess[0] < SETTINGS.least_water or before.share[0] < 4 * before.floor[0]:
+    if (
+        water is None
+        or before.excess[0] < SETTINGS.least_water
+        or before.share[0] < SETTINGS.over_noise * before.floor[0]
+    ):
         return None
     certain = np.max(np.abs(water.value) / water.error) > SETTINGS.certain
     if not certain or water.after.excess[0] > before.excess[0] / SETTINGS.decisive:
