@@ -42,6 +42,8 @@ class AssociationSettings:
     oversampling: int = 8  # frequencies tried per one that the longest run resolves
     fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
     band: float = 0.1  # half width of a line, as a share of its frequency
+    least_band: float = 1.5  # and at least, in frequencies that the log resolves
+    draws: float = 3.0  # independent powers within the width of a line, about
 
 
 SETTINGS = AssociationSettings()
@@ -587,13 +589,13 @@ def _peak_p_value(power: Array, grid: Array, place: int, runs: int) -> float:
     """p-value of the highest power within the line width, about three independent draws."""
     near = slice(max(place - SETTINGS.oversampling, 0), place + SETTINGS.oversampling + 1)
     ratio = np.max(power[near]) / _background(power, grid)[place]
-    return float(min(1.0, 3 * gamma.sf(runs * ratio, runs)))
+    return float(min(1.0, SETTINGS.draws * gamma.sf(runs * ratio, runs)))
 
 
 def _band_excess(power: Array, frequency: float, grid: Array, length: float) -> float:
     """Sum of squares in the band around a frequency, above that of the neighbours."""
     excess = power - _background(power, grid)
-    wide = max(SETTINGS.band * frequency, 1.5 / length)
+    wide = max(SETTINGS.band * frequency, SETTINGS.least_band / length)
     return max(float(np.sum(excess[np.abs(grid - frequency) < wide])) / SETTINGS.oversampling, 0.0)
 
 

@@ -31,6 +31,7 @@ class FloorSettings:
     share_of_log: float = 0.25  # of the longest segment, beyond which there are too few pairs
     shortest: float = 0.2  # correlation times tried, from this many distances of test functions
     noise_uncertainty: float = 0.1  # relative uncertainty of the variance of sensor noise
+    quadrature: int = 40  # samples of a test function between two knots
     steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale
 
 
@@ -112,7 +113,7 @@ def _test_function_autocovariance(lags: int, time: float) -> Array:
     `time` is its correlation time in distances of test functions.
     """
     knots = np.arange(2 * DEGREE + 3) - (DEGREE + 1.0)  # the product of two splines, shifted: a spline again
-    places = np.linspace(knots[0], knots[-1], 40 * (2 * DEGREE + 2) + 1)
+    places = np.linspace(knots[0], knots[-1], SETTINGS.quadrature * (2 * DEGREE + 2) + 1)
     weight = BSpline.basis_element(knots)(places)
     apart = np.abs(np.arange(lags)[:, None] + places)
     return np.asarray(np.exp(-apart / time) @ (weight / np.sum(weight)))

@@ -28,6 +28,9 @@ class ForceSettings:
 
     noise_limit: float = 1.3  # mean square, in units of the noise, up to which there is no disturbance
     matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
+    # Power of the mean square by which a step changes the intensity, and factors that it stays within.
+    matching_power: float = 1.5
+    matching_factors: tuple[float, float] = (0.02, 50.0)
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)  # numbers of test functions to average over, tried in turn
     detectable_ratio: float = 1.5  # mean square over that of noise from which the force is detectable
 
@@ -116,7 +119,7 @@ class ForceRow:
         level = self.rms**2 * self.weight
         for _ in range(SETTINGS.matching_steps):
             square = float(np.mean(self.whitened(level).r ** 2))
-            level *= float(np.clip(square**1.5, 0.02, 50.0))
+            level *= float(np.clip(square**SETTINGS.matching_power, *SETTINGS.matching_factors))
         return level
 
 

@@ -56,6 +56,10 @@ class PredictabilitySettings:
     most_rows: int = 5000  # largest number of rows for training; longer logs are decimated
     level: float = 0.95  # of the intervals
     least_share: float = 0.05  # predicted share from which the prediction is reported
+    least_lost: float = 0.01  # share of the mean square lost without a signal from which it is named
+    # Spread of a signal over its largest value up to which it is constant.
+    constant: float = 1e-6
+    rank_tolerance: float = 1e-9  # singular values, relative, below which parameters count as undetermined
     # End of the interval up to which nothing is missing that the signals could show: without that share of
     # the mean square the error would be a tenth less, which is the gain required of an effect.
     largest_undetected: float = 0.19
@@ -404,7 +408,7 @@ class _Force:
             lost = np.mean((validation.force - predict(signals)) ** 2) - without
             found[name] = float(lost / validation.mean_square)
         ordered = sorted(found.items(), key=lambda item: -item[1])
-        return {name: lost for name, lost in ordered if lost > 0.01}
+        return {name: lost for name, lost in ordered if lost > SETTINGS.least_lost}
 
 
 def _blocks(table: _Table, log: _Log) -> Index:
@@ -437,7 +441,7 @@ def _parameter_change(fit: Fitted, tables: Sequence[_Table]) -> Array:
     stacked = np.vstack([*rows, np.diag(weight)])
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     right = np.concatenate([*wanted, weight * (centre - fit.p[list(fit.model.places)])])
-    return np.asarray(np.linalg.lstsq(stacked / size, right, rcond=1e-9)[0] / size)
+    return np.asarray(np.linalg.lstsq(stacked / size, right, rcond=SETTINGS.rank_tolerance)[0] / size)
 
 
 class Learner:
@@ -528,7 +532,7 @@ class Ridge:
     def __init__(self, X: Array, y: Array) -> None:
         self._middle, spread = X.mean(axis=0), X.std(axis=0)
         size = np.maximum(np.abs(X).max(axis=0, initial=0.0), 1e-300)
-        self._scale = np.where(spread > 1e-6 * size, 1.0 / np.maximum(spread, 1e-300), 0.0)
+        self._scale = np.where(spread > SETTINGS.constant * size, 1.0 / np.maximum(spread, 1e-300), 0.0)
         self._mean = float(np.mean(y))
         Z = (X - self._middle) * self._scale
         self._value, self._vector = np.linalg.eigh(Z.T @ Z / len(y))

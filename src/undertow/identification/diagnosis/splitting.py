@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,18 @@ from undertow.model.vehicle import Vehicle
 
 from .settings import DEFAULT, Settings
 
+
+@dataclass(frozen=True)
+class PieceSettings:
+    """Where a log is cut into pieces, in shares of a piece's length but for the last."""
+
+    longest_pause: float = 0.5  # length of a pause that counts, at most, where `piece_gap` is longer
+    least_pause: float = 0.1  # and at least
+    longest_gap: float = 0.1  # time that is left out after a piece, at most
+    before: float = 0.25  # how far an edge lies before a sample, in steps
+
+
+PIECES = PieceSettings()
 Runs = Run | Sequence[Run]
 """One run or several."""
 
@@ -132,12 +144,12 @@ def _pieces(run: Run, settings: Settings) -> list[Run]:
     # A long pause counts as a small part of a piece: one that lies in a pause would have no sample.
     steps = np.diff(run.t)
     length = float(np.sum(np.minimum(steps, settings.piece_gap))) / count
-    longest = max(min(settings.piece_gap, 0.5 * length), 0.1 * length)
+    longest = max(min(settings.piece_gap, PIECES.longest_pause * length), PIECES.least_pause * length)
     recorded = np.cumsum([0.0, *np.minimum(steps, longest)])
     # Edges lie between samples, so that no rounding of a time moves a sample into another piece.
     edges = np.interp(np.linspace(0.0, recorded[-1], count + 1), recorded, run.t)
-    edges[1:-1] -= 0.25 * run.step
-    gap = min(settings.piece_gap, 0.1 * length)
+    edges[1:-1] -= PIECES.before * run.step
+    gap = min(settings.piece_gap, PIECES.longest_gap * length)
     return [
         replace(
             run.slice(a, b if i == count - 1 else b - gap),

@@ -92,7 +92,7 @@ def _is_noise(errors: Array, starts: int, settings: Settings) -> bool:
     """Whether mean squares by channel and overall are those of noise; estimated starts absorb a part."""
     count = np.maximum(np.count_nonzero(np.isfinite(errors), axis=(0, 1)), 1)
     left = 1.0 - starts / float(count.sum())
-    level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, 0.1)
+    level = np.nansum(errors**2, axis=(0, 1)) / count / max(left, LIMITS.least_left)
     channel_limit = settings.channel_noise_limit + settings.chance_errors * np.sqrt(2.0 / count)
     mean_limit = settings.mean_noise_limit + settings.chance_errors * np.sqrt(2.0 / count.sum())
     return bool(np.all(level < channel_limit) and np.average(level, weights=count) < mean_limit)
@@ -129,8 +129,26 @@ def refitted_within_errors(
 
 F = TypeVar("F", bound=Fitted | Vehicle)
 T = TypeVar("T")
-# Where the simulation of one model diverges and that of the other does not.
-_DIVERGED = 1e12
+
+
+@dataclass(frozen=True)
+class ValidationSettings:
+    """Extremes of simulations that are compared; `Settings` holds what decides a verdict."""
+
+    # Mean square, in units of the noise, where the simulation of one model diverges and the other's does not.
+    diverged: float = 1e12
+    # Longest window as a share of the shortest run: a little less.
+    of_shortest: float = 0.9
+    least_left: float = 0.1  # share of the samples that estimated starts leave, at least
+    same: float = 1e-9  # difference of mean squares that is none
+
+
+LIMITS = ValidationSettings()
+
+
+def _longest_window(runs: Sequence[Run]) -> float:
+    """A little less than the shortest run, s."""
+    return LIMITS.of_shortest * min(float(r.t[-1] - r.t[0]) for r in runs)
 
 
 @dataclass(frozen=True)
@@ -169,7 +187,9 @@ def relative_squares(prediction: Prediction) -> Array:
         total, count = np.nansum(error**2, axis=1), np.count_nonzero(np.isfinite(measured), axis=1)
         mean = np.where(count > 0, total / np.maximum(count, 1), total.sum(axis=0) / count.sum(axis=0))
         square = mean / np.nanmean(measured**2, axis=(0, 1))
-    return np.where(np.isfinite(square) & ~lost[:, None], np.minimum(square, _DIVERGED), _DIVERGED)
+    return np.where(
+        np.isfinite(square) & ~lost[:, None], np.minimum(square, LIMITS.diverged), LIMITS.diverged
+    )
 
 
 def _corrected(fit: Fitted, squares: Array, windows: Windows) -> Array:
@@ -215,7 +235,7 @@ class SimulationValidator:
     @cached_property
     def shortest(self) -> float:
         """A little less than the shortest validation run, s; no window is longer than every segment."""
-        whole = 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.test)
+        whole = _longest_window(self.test)
         return min(whole, max(longest_segment(self._vehicle, run) for run in self.test))
 
     @cached_property
@@ -444,7 +464,7 @@ class SimulationValidator:
         left = [
             cost / np.maximum(u.sum(axis=(1, 2)), 1) for cost, u in zip(self._costs(weak), used, strict=True)
         ]
-        return [float(np.clip(np.mean(square), 1.0, _DIVERGED)) for square in left]
+        return [float(np.clip(np.mean(square), 1.0, LIMITS.diverged)) for square in left]
 
     def _cost(self, fit: Fitted, horizon: float) -> Array:
         shooting, starts = self._shooting_at_best_starts(fit, horizon)
@@ -489,7 +509,7 @@ class SimulationValidator:
                 weak.model.functions.vehicle,
                 self.train,
                 weak.model.free,
-                min(horizon, 0.9 * min(float(r.t[-1] - r.t[0]) for r in self.train)),
+                min(horizon, _longest_window(self.train)),
                 start=begin.values,
             )
         except UndertowError:  # the simulation of a poor model may diverge
@@ -512,7 +532,7 @@ def significantly_worse_in_windows(
     """
     with np.errstate(invalid="ignore"):
         gaps = [
-            np.nan_to_num((worse - better) / level, posinf=_DIVERGED, neginf=-_DIVERGED)
+            np.nan_to_num((worse - better) / level, posinf=LIMITS.diverged, neginf=-LIMITS.diverged)
             for worse, better, level in zip(costs, others, levels, strict=True)
         ]
     behind, ahead = (max(_without_largest(sign * g) for g in gaps) for sign in (1.0, -1.0))
@@ -528,7 +548,7 @@ def worse_by_rank_test(squares: Array, reference: Array, settings: Settings = DE
     gap = squares - reference
     if not np.all(np.isfinite(squares)):
         return bool(np.all(np.isfinite(reference)))
-    if np.allclose(gap, 0.0, atol=1e-9):
+    if np.allclose(gap, 0.0, atol=LIMITS.same):
         return False
     if len(gap) < settings.testable_windows:
         return len(gap) >= settings.unanimous_windows and bool(np.all(gap > 0.0))
