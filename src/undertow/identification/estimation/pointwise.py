@@ -354,6 +354,8 @@ class LimitSettings:
     # it.
     rounding: float = 1e-7
     at_limit: float = 1e-5
+    # Share of the largest part of a direction from which the motions that it is made of are named.
+    named: float = 0.1
 
 
 SETTINGS = LimitSettings()
@@ -450,7 +452,7 @@ class _Matrix:
 
     def described(self, p: Array) -> str:
         direction = self._directions(p)[1][:, 0]
-        part = np.abs(direction) > 0.1 * np.max(np.abs(direction))
+        part = np.abs(direction) > SETTINGS.named * np.max(np.abs(direction))
         return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"
 
 

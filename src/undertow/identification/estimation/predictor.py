@@ -41,6 +41,7 @@ class StartSettings:
     """Settings for estimating a model's own states at the start of a segment."""
 
     seconds: float = 10.0  # of the first window that they are estimated from
+    fewest: int = 3  # samples in them
     # Standard deviation in which the motion at the start is sought, relative to the noise of a sample.
     motion: float = 3.0
     least_noise: float = 1e-6  # of a channel, relative to its rms
@@ -185,7 +186,7 @@ class InternalStates:
 def _first_windows(windows: Windows, first: Index) -> Windows:
     """The first seconds of the first window of every segment."""
     step = float(np.median(np.diff(windows.runs[0].t)))
-    return windows.take(first, max(int(SETTINGS.seconds / step), 3))
+    return windows.take(first, max(int(SETTINGS.seconds / step), SETTINGS.fewest))
 
 
 def _segments(windows: Windows) -> list[Index]:

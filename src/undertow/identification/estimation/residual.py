@@ -203,8 +203,11 @@ class ResidualSettings:
     delay_step: float = 1e-3  # of finite differences, relative to a sampling interval
     # Rows of which nothing is known that are projected out; of a longer dead time the rest counts as it is.
     most_directions: int = 240
+    # Influence of a start that has decayed, in units of the noise, and relative to the largest one.
+    decayed: float = 1e-9
     # Neighbours on each side that a sample is held against, by the cubic through them.
     neighbours: int = 2
+    reports: int = 4  # reports of a channel that is examined are more than so many times the neighbours
     # Standard deviations from which a sample is a spike: noise alone gets there once in two million samples.
     spike: float = 5.0
     # Share of the change to the next sample that a cubic may miss: a kink where thrust jumps is not a spike.
@@ -638,7 +641,7 @@ def _without_start(part: Linearised, whitening: Whitening, reference: Array | No
     kept, start = table[:, :last], table[:, last:]
     size = np.linalg.norm(start, axis=0)
     # The influence of a distant start has decayed, and would underflow in the product below.
-    present = size > max(1e-9 * size[: len(size) - part.unknown].max(initial=0.0), 1e-9)
+    present = size > SETTINGS.decayed * max(size[: len(size) - part.unknown].max(initial=0.0), 1.0)
     if not present.any():
         return kept
     if reference is None:
@@ -663,7 +666,7 @@ def _despiked(segment: Segment, sigma: Array, derived: Sequence[int]) -> Segment
     measured, downweighted = segment.measured.copy(), np.zeros(segment.measured.shape, dtype=bool)
     for k in range(measured.shape[1]):
         own = segment.reports(k)
-        if not (sigma[k] > 0 and k not in derived and len(own) > 4 * SETTINGS.neighbours):
+        if not (sigma[k] > 0 and k not in derived and len(own) > SETTINGS.reports * SETTINGS.neighbours):
             continue
         measured[own, k], downweighted[own, k] = despiked(segment.t[own], measured[own, k], float(sigma[k]))
         if downweighted[:, k].any() and len(own) < len(segment.t):

@@ -39,6 +39,7 @@ class ShootingSettings:
     batch: int = 5_000_000  # numbers in the sensitivities of one batch of windows: 40 MB
     # Steps of finite differences: relative to a parameter, and for dead times to a sampling interval.
     difference: float = 1e-3
+    least_size: float = 1e-3  # that a parameter counts as having then
     delay_difference: float = 0.25
 
 
@@ -400,7 +401,7 @@ class Shooting:
 
     def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
-        step = SETTINGS.difference * max(abs(p[place]), 1e-3)
+        step = SETTINGS.difference * max(abs(p[place]), SETTINGS.least_size)
         if place in self._delay_parameters:
             step = SETTINGS.delay_difference * sample
         high, low = p[place] + step, p[place] - step

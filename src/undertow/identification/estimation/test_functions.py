@@ -77,6 +77,11 @@ class SplineSettings:
     # Samples between two knots: a few, so that all that the sampling resolves is used.
     samples_per_knot: int = 5
     sides_together: int = 8  # right-hand sides that go through an operation together
+    rank_tolerance: float = 1e-9  # of moments of the samples under a function, relative
+    # What is added to variances so that they can be factorised where a log has no noise, as a share of each
+    # and of the largest: far below any noise that a sensor has.
+    floor: float = 1e-10
+    floor_of_largest: float = 1e-14
 
 
 SETTINGS = SplineSettings()
@@ -221,7 +226,7 @@ def _exact_for_cubics(near: csr_array, place: Array) -> Callable[[csr_array, Arr
         return np.column_stack([np.bincount(at.row, data * s, near.shape[0]) for s in powers.T[: most + 1]])
 
     gram = sums(at.data, 2 * DEGREE)[:, np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1))]
-    inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
+    inverse = np.linalg.pinv(gram, rcond=SETTINGS.rank_tolerance, hermitian=True)
 
     def exact(weights: csr_array, moments: Array) -> csr_array:
         cubic = np.einsum("kij,kj->ki", inverse, moments - sums(weights.data, DEGREE))
@@ -525,8 +530,8 @@ class Whitening:
 def _cholesky(bands: Array) -> Array:
     """Lower Cholesky factor of a banded matrix in LAPACK's banded storage."""
     banded = bands.copy()
-    # A noise-free log has a singular covariance; the floor is far below any noise that a sensor has.
-    banded[0] += 1e-10 * banded[0] + 1e-14 * banded[0].max() + 1e-30
+    # A noise-free log has a singular covariance.
+    banded[0] += SETTINGS.floor * banded[0] + SETTINGS.floor_of_largest * banded[0].max() + 1e-30
     return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
 
 

@@ -32,6 +32,7 @@ class WindowSettings:
     fewest: int = 3  # samples of a window
     # The last window may lack this share, so that a log of 100 s but for one sample gives 20 windows of 5 s.
     lacking: float = 0.1
+    slack: float = 1e-3  # share of a sampling interval by which a window may be too short
     # Half-widths in samples of the fits that are tried, from narrow to wide; for what is left of an angle
     # once its rate is integrated, a line over a long time.
     widths: tuple[int, ...] = (2, 3, 5)
@@ -47,6 +48,7 @@ class WindowSettings:
     longest_step: float = 0.5
     reach: float = 0.15
     poles: int = 100  # samples of all segments at which that is computed
+    fewest_poles: int = 3  # and of each segment, at least
 
 
 SETTINGS = WindowSettings()
@@ -258,7 +260,7 @@ def _windows(t: Array, horizon: float | None) -> tuple[Index, Index]:
         return _columns([])
     if horizon is None:
         return _columns([(0, len(t))])
-    slack = 1e-3 * float(np.median(np.diff(t)))
+    slack = SETTINGS.slack * float(np.median(np.diff(t)))
     found, first = [], 0
     while t[first] + (1.0 - SETTINGS.lacking) * horizon <= t[-1]:
         stop = min(int(np.searchsorted(t, t[first] + horizon - slack)), len(t) - 1)
@@ -685,7 +687,7 @@ def resolving_step(functions: Functions, windows: Windows, p: Array) -> float:
 
     It follows the fastest pole anywhere along the logs from which the windows were cut.
     """
-    fastest, each = 0.0, max(SETTINGS.poles // len(windows.segments), 3)
+    fastest, each = 0.0, max(SETTINGS.poles // len(windows.segments), SETTINGS.fewest_poles)
     for s in windows.segments:
         rows = _spread(len(s.t), each)
         u = windows.held[s.run][s.first + rows]

@@ -32,6 +32,7 @@ class BandSettings:
     # Rate where the model has no time constant, and the fastest that the lag of an actuator needs, Hz: a lag
     # that is shorter than a step is a delay to the motion.
     usual: float = 20.0
+    quick_motions: float = 0.05  # share of the motions in a log that may be faster
     # Shortest step, s: a faster time constant is no vehicle in water, but a wrong unit.
     shortest: float = 0.02
     longest: float = 0.5  # longest step, s: delays and lags that a ship's file lacks must still be visible
@@ -63,7 +64,7 @@ def band(vehicle: Vehicle, logs: Sequence[LongLog]) -> Band:
         return Band(np.inf, np.inf, 0.0, 1)
     step = float(np.median([np.median(np.diff(run.t)) for run in runs]))
     motions = [constants for constants in time_constants_by_run(vehicle, runs) if len(constants)]
-    fastest = float(np.quantile([c[0] for c in motions], 0.05)) if motions else np.inf
+    fastest = float(np.quantile([c[0] for c in motions], BAND.quick_motions)) if motions else np.inf
     slowest = float(np.median([c[-1] for c in motions])) if motions else np.inf
     usual = BAND.per_time_constant / BAND.usual
     lag = max(_quickest_lag(vehicle), usual) if motions else usual

@@ -26,14 +26,26 @@ class ManoeuvreSettings:
     bits: int = 24  # of random binary steps
     pulses: int = 3  # before coast-downs
     astern: float = 0.2  # least size of a reversal, of that ahead
+    # Ranges of free numbers, as the least value and what is added to it: the unit of a 3-2-1-1 input, where
+    # it begins again and how large it is then; time ahead in a period of a reversal; time of thrust in a
+    # pulse. Times are shares of the manoeuvre, or of the period.
+    unit: tuple[float, float] = (0.02, 0.05)
+    again: tuple[float, float] = (0.5, 0.1)
+    again_size: tuple[float, float] = (0.3, 0.7)
+    ahead: tuple[float, float] = (0.3, 0.4)
+    thrust: tuple[float, float] = (0.2, 0.5)
+    least_sine: float = 1e-3  # size of each sine of a multisine
     # Nothing faster than this, Hz: thrusters do not follow, and a log at 10 Hz would not show it.
     fastest: float = 1.0
     taper: float = 2.0  # length of the smooth beginning and end, s
     taper_share: float = 0.1  # the most that each may take of the manoeuvre
     pure: float = 1e-6  # share of a wrench that a pure motion may have in the other degrees of freedom
+    rounding: float = 1e-9  # of commands that make it, as a share of the largest, and of their equations
     # Steps towards the commands that balance the weight: a thruster with a dead band leaves it step by step.
     trim_rounds: int = 60
     balanced: float = 1e-6  # N or N m: less is rounding
+    balanced_share: float = 1e-3  # share of what the actuators can do that counts as none beside it
+    rest: float = 1e-6  # share of its limit below which a command is zero
     trim_share: float = 0.95  # of the limit of an actuator that balancing the weight may take
     # Share of half the range of a command that it may go to either side of rest; with less, its mean is the
     # middle of its range instead: a propeller that cannot reverse has nothing below rest.
@@ -61,6 +73,11 @@ class Shape:
     signal: Callable[[Array, float, Array], Array]  # the signal from (share of time, length in s, numbers)
 
 
+def _within(ends: tuple[float, float], q: float) -> float:
+    """A free number in its range."""
+    return ends[0] + ends[1] * q
+
+
 def _steps(share: Array, length: float, q: Array) -> Array:
     """Steps between levels, each held for as long: a coast-down or a reversal where the levels say so."""
     return np.asarray((2 * q - 1)[(share * SETTINGS.levels).astype(int)])
@@ -73,19 +90,19 @@ def _binary_steps(share: Array, length: float, q: Array) -> Array:
 
 def _doublet(share: Array, length: float, q: Array) -> Array:
     """The 3-2-1-1 input of flight tests, once each way."""
-    unit = 0.02 + 0.05 * q[0]
+    unit = _within(SETTINGS.unit, q[0])
     pattern = np.array([1, 1, 1, -1, -1, 1, -1, 0.0])
     first = pattern[np.minimum((share / unit).astype(int), 7)]
-    begin = 0.5 + 0.1 * q[1]
+    begin = _within(SETTINGS.again, q[1])
     later = pattern[np.clip(((share - begin) / unit).astype(int), 0, 7)] * (share >= begin)
-    return np.asarray(np.where(share < begin, first, -later * (0.3 + 0.7 * q[2])))
+    return np.asarray(np.where(share < begin, first, -later * _within(SETTINGS.again_size, q[2])))
 
 
 def _multisine(share: Array, length: float, q: Array) -> Array:
     """Sines with 1 to 13 periods, sizes and phases free, scaled to the full deflection."""
     size, phase = np.split(q, 2)
     angle = 2 * np.pi * (share[:, None] * np.array(SETTINGS.harmonics) + phase)
-    wave = np.sin(angle) @ (size + 1e-3)
+    wave = np.sin(angle) @ (size + SETTINGS.least_sine)
     return np.asarray(wave / np.max(np.abs(wave)))
 
 
@@ -100,14 +117,14 @@ def _chirp(share: Array, length: float, q: Array) -> Array:
 def _reversal(share: Array, length: float, q: Array) -> Array:
     """Ahead and astern in turn, the two with their own size: with nothing astern it would be no reversal."""
     periods = 1 + np.floor(5.99 * q[0])
-    ahead = (share * periods) % 1.0 < 0.3 + 0.4 * q[1]
+    ahead = (share * periods) % 1.0 < _within(SETTINGS.ahead, q[1])
     return np.where(ahead, 1.0, -(SETTINGS.astern + (1 - SETTINGS.astern) * q[2]))
 
 
 def _coast(share: Array, length: float, q: Array) -> Array:
     """Pulses of thrust, each followed by a segment without, in which the vehicle coasts down."""
     pulse = (share * SETTINGS.pulses).astype(int)
-    on = (share * SETTINGS.pulses) % 1.0 < 0.2 + 0.5 * q[-1]
+    on = (share * SETTINGS.pulses) % 1.0 < _within(SETTINGS.thrust, q[-1])
     return np.where(on, (2 * q - 1)[pulse], 0.0)
 
 
@@ -201,10 +218,10 @@ def _pure_motion(forces: Array, scale: Array, i: int) -> Array | None:
     rows = np.flatnonzero(scale > 0)
     scaled = forces[rows] / scale[rows, None]
     target = (rows == i).astype(float)
-    pattern = np.linalg.lstsq(scaled, target, rcond=1e-9)[0]
+    pattern = np.linalg.lstsq(scaled, target, rcond=SETTINGS.rounding)[0]
     if np.linalg.norm(scaled @ pattern - target) > SETTINGS.pure:
         return None
-    pattern[np.abs(pattern) < 1e-9 * np.max(np.abs(pattern))] = 0.0
+    pattern[np.abs(pattern) < SETTINGS.rounding * np.max(np.abs(pattern))] = 0.0
     return np.asarray(pattern / np.max(np.abs(pattern)))
 
 
@@ -234,9 +251,9 @@ def trim(functions: Functions, bounds: CommandLimits, table: Array, start: Start
         wanted = np.zeros(len(table))
         wanted[rows] = (table @ commands - net_force(commands))[rows] / size[rows]
         commands = commands + step * (lsq_linear(scaled, wanted, box).x * limits - commands)
-    commands[np.abs(commands) < 1e-6 * limits] = 0.0
+    commands[np.abs(commands) < SETTINGS.rest * limits] = 0.0
     rest = net_force(commands)
-    least = np.maximum(1e-3 * size, SETTINGS.balanced)
+    least = np.maximum(SETTINGS.balanced_share * size, SETTINGS.balanced)
     unbalanced = {vehicle.degrees_of_freedom[i]: float(rest[i]) for i in rows if abs(rest[i]) > least[i]}
     return Trim(commands, unbalanced)
 

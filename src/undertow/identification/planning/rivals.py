@@ -35,6 +35,7 @@ class RivalSettings:
     tilt: float = 0.1  # standard deviation of roll and pitch among them, rad
     rounds: int = 5  # of the search for a value
     first_value: float = 1e-3  # value that it begins with
+    factors: tuple[float, float] = (1e-3, 1e3)  # that a step of it stays within
     diverged: float = 1e3  # change of the velocities that stands for a diverged simulation
     negligible: float = 1e-9  # change of the velocities, or share of the force, that is none
     most_rivals: int = 3  # that are taken from a diagnosis
@@ -159,7 +160,7 @@ class _TypicalSizes:
             change = self._change(place, value)
             if change <= SETTINGS.negligible:
                 return 0.0
-            value = float(np.clip(value * np.clip(share / change, 1e-3, 1e3), *parameter.bounds))
+            value = float(np.clip(value * np.clip(share / change, *SETTINGS.factors), *parameter.bounds))
         return value
 
 

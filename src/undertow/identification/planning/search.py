@@ -27,6 +27,7 @@ from undertow.typing import Array
 from undertow.version import __version__
 
 from .manoeuvres import Design
+from .problem import SETTINGS as PLANNING
 from .problem import (
     Knowledge,
     Manoeuvre,
@@ -67,6 +68,10 @@ class SearchSettings:
     # Size of a change at the beginning and at the end of a refinement, numbers being between 0 and 1.
     first_change: float = 0.35
     last_change: float = 0.04
+    again: float = 3.0  # the first change is so many times smaller where the best one is refined once more
+    # Numbers that are changed at a time, on average, and their least share of all.
+    changed: float = 2.0
+    changed_share: float = 0.1
     # Share of the numbers drawn anew by the first changes, so that a sign or an order of levels can change.
     redrawn: float = 0.25
 
@@ -141,7 +146,7 @@ class PlanSearch(ABC):
             self._refine(design, value, (self._tries - exploring) // 2 ** (rank + 2), SEARCH.first_change)
         if self._best is not None:
             rest = self._tries - self._count
-            self._refine(self._best[0], self.value, rest, SEARCH.first_change / 3)
+            self._refine(self._best[0], self.value, rest, SEARCH.first_change / SEARCH.again)
 
     def _evaluate(self, design: Design, words: str) -> float:
         value = self._value(design)
@@ -175,7 +180,7 @@ class PlanSearch(ABC):
 
     def _perturbed(self, numbers: Array, size: float) -> Array:
         rng = self._rng
-        chosen = rng.random(len(numbers)) < max(2.0 / len(numbers), 0.1)
+        chosen = rng.random(len(numbers)) < max(SEARCH.changed / len(numbers), SEARCH.changed_share)
         chosen[rng.integers(len(numbers))] = True
         changed = numbers + size * rng.standard_normal(len(numbers))
         changed = np.abs(1.0 - np.abs(1.0 - changed))
@@ -269,7 +274,6 @@ class SeparationSettings:
     separated: float = 3.0  # models nearer than this, in standard deviations, are the same in practice
     thorough: int = 2  # thorough refits add about as many calls as searching makes
     suggested: int = 60  # tries of a suggestion: for a few of every family and some refinement of the best
-    remarked: float = 1.5  # inflation of the noise from which on a remark says so
 
 
 SEPARATION = SeparationSettings()
@@ -475,7 +479,7 @@ class _SeparationSearch(PlanSearch):
                 f"nothing is known about the size of {' and '.join(assumed)}: planned with a tenth of the "
                 "actuators' force, or of the velocities; a diagnosis or logs would say more"
             )
-        if self.inflation > SEPARATION.remarked:
+        if self.inflation > PLANNING.remarked:
             lines.append(
                 "even the best of the models leaves a residual above the noise on the logs: distances are "
                 f"computed as if the noise were {self.inflation:.2g} times larger"
