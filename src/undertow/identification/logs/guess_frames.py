@@ -26,6 +26,7 @@ class FrameSettings:
     clearly: float = 0.6  # that share of the best, over that of the next best, at most
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
     correlation_limit: float = 0.9  # correlation of a rate with the change of the heading
+    fewest: int = 20  # rows with both that show it
     many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
     # Latitude or longitude below which a place is near zero and zero, where simulators put theirs: whether
     # it is in radians or in degrees cannot be told.
@@ -161,7 +162,7 @@ def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[s
     found, best = ("", 1.0), SETTINGS.correlation_limit
     for name, rate in rates.items():
         finite = np.isfinite(psi) & np.isfinite(rate) & np.isfinite(t)
-        if finite.sum() < 20 or np.ptp(rate[finite]) == 0.0:
+        if finite.sum() < SETTINGS.fewest or np.ptp(rate[finite]) == 0.0:
             continue
         step = _rows_in(SETTINGS.over[0], t[finite])
         turned = _change(np.unwrap(psi[finite]), step)

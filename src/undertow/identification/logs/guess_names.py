@@ -124,6 +124,11 @@ _COUNTED = {"force": "N", "thrust": "N", "rev": "rev/s", "n": "rev/s", "angle": 
 class DistanceSettings:
     """Distances of the name of a column from that of a command: 0 the same name, 1 the same words."""
 
+    same: float = 0.0
+    same_words: float = 1.0
+    alike: float = 2.0  # words that mean the same, or the force that the command is
+    per_word: float = 0.1  # more for each word that is a likelier name of the command
+    begins_alike: float = 3.0
     by_unit: float = 2.9  # only the unit is that of the command: just before a name that begins alike
     no_fit: float = 9.0  # the column is none of the command
 
@@ -370,24 +375,26 @@ class Name:
         wanted = [w for w in re.split(r"[^a-z0-9]+", command.lower()) if w]
         also = [other for word in wanted for other in _ALSO.get(word, ())]
         if self.column.lower() == command.lower():
-            return 0.0
+            return DISTANCES.same
         if self.unit in {*_NO_COMMANDS, *_OTHERS.values()}:
             return DISTANCES.no_fit
         if set(wanted) <= set(self.words):
-            return 1.0
+            return DISTANCES.same_words
         if self.force and command in axes:
             both = "tau" in wanted and "tau" in self.words
-            return DISTANCES.no_fit if self.force != axes[command] else 1.0 if both else 2.0
+            if self.force != axes[command]:
+                return DISTANCES.no_fit
+            return DISTANCES.same_words if both else DISTANCES.alike
         known = [k for k, other in enumerate(also) if other in self.words]
         if known:
-            return 2.0 + 0.1 * known[0]
+            return DISTANCES.alike + DISTANCES.per_word * known[0]
         alike = any(w.startswith(other) for w in self.words for other in [*wanted, *also] if len(other) > 3)
-        return 3.0 if alike else DISTANCES.no_fit
+        return DISTANCES.begins_alike if alike else DISTANCES.no_fit
 
     def is_surely(self, command: str, axes: Mapping[str, str]) -> bool:
         """Whether a name is that of a command, with at most one word of another meaning."""
         words = {word.removesuffix("s") for word in self.words} - {*command.lower().split("_")}
-        return self.drives(command, axes) < 2.0 and len(words - _DRIVES - _CONTAINERS) < 2
+        return self.drives(command, axes) < DISTANCES.alike and len(words - _DRIVES - _CONTAINERS) < 2
 
     @property
     def is_command(self) -> bool:

@@ -23,6 +23,7 @@ class PlaceSettings:
     # scatter, m.
     least_separation_share: float = 0.2
     scatter_of_fixes: float = 10.0
+    rows: float = 0.9  # share of the rows in which they may be nearer
 
 
 SETTINGS = PlaceSettings()
@@ -72,7 +73,7 @@ def two_places(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[
     x, y, north, east = (values[there] - values[there][0] for values in places)
     far = np.hypot(x, y), np.hypot(north, east)
     least = max(SETTINGS.scatter_of_fixes, SETTINGS.least_separation_share * float(np.max(far)))
-    if float(np.quantile(np.abs(far[0] - far[1]), 0.9)) < least:
+    if float(np.quantile(np.abs(far[0] - far[1]), SETTINGS.rows)) < least:
         return []
     sizes = f"up to {np.max(far[0]):.3g} m, {' and '.join(globe)} up to {np.max(far[1]):.3g} m"
     return [

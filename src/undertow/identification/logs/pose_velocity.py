@@ -40,10 +40,28 @@ class SmootherSettings:
     lost_steps: float = 4.0  # or this many usual steps, for slow logs
     core: int = 1000  # samples of a lane that are kept
     likely_lanes: int = 6  # lanes of which the likelihood is computed
+    # Ratios that are tried in the two decades about the likeliest one; how many times the lanes of which the
+    # likelihood is computed the long pieces are that they are spread over.
+    fine: int = 17
+    pieces_per_lane: int = 4
+    # Samples by which pieces overlap: time constants of the smoother, and limits.
+    overlap: int = 12
+    overlaps: tuple[int, int] = (30, 1000)
+    informative: float = 1e-6  # share of a variance that is no rounding
     small: float = 0.01  # share of the median change between samples: a negligible error
     limit: float = 6.0  # robust standard deviations beyond which a sample is an outlier
     rounds: int = 40  # of the removal of outliers
     separation: int = 3  # smallest distance, in samples, of outliers and jumps that one round finds
+    # That distance in time constants of the smoother, and the largest, in smallest ones.
+    separation_constants: int = 4
+    separations: int = 20
+    # Single outliers before anything is smoothed: usual steps in which a sample and its four neighbours lie,
+    # how many times `limit` they stand out, how many median changes, by which factor from their neighbours.
+    gross_steps: float = 6.0
+    gross: float = 5.0
+    gross_changes: float = 2.0
+    gross_factor: float = 1.25
+    least_own: float = 1e-3  # variance of a residual, in that of the noise, at least
     estimates: int = 6  # of the noise, again after the removal of outliers
     # Share of samples that may be outliers or shifts. Every one that is removed lowers the estimate of the
     # noise, so that more stand out: beyond this share they are the noise, not exceptions to it.
@@ -159,7 +177,8 @@ def _jump_statistics(before: States, smoothed: States) -> Array:
     pull = np.linalg.solve(before.covariance, np.eye(ORDER)[:, :1])[..., 0]
     shock = (pull * (smoothed.mean - before.mean)).sum(axis=-1)
     variance = pull[..., 0] - (pull * (smoothed.covariance @ pull[..., None])[..., 0]).sum(axis=-1)
-    known = variance > 1e-6 * pull[..., 0]  # the rest is rounding: no information since the sample before
+    # The rest is rounding: no information since the sample before.
+    known = variance > SETTINGS.informative * pull[..., 0]
     return np.divide(shock, np.sqrt(np.where(known, variance, 1.0)), where=known, out=np.zeros_like(shock))
 
 
@@ -168,7 +187,7 @@ def most_likely_ratio(lanes: Lanes) -> tuple[float, float]:
     decades = np.arange(SETTINGS.lowest_decade, SETTINGS.highest_decade + 1.0)
     coarse = _profile(lanes, decades)
     best = decades[np.argmin(coarse[0])]
-    fine = np.linspace(best - 1.0, best + 1.0, 17)
+    fine = np.linspace(best - 1.0, best + 1.0, SETTINGS.fine)
     cost, variance = _profile(lanes, np.minimum(fine, SETTINGS.highest_decade))
     at = int(np.argmin(cost))
     return float(10.0 ** min(fine[at], SETTINGS.highest_decade)), float(variance[at])
@@ -266,14 +285,14 @@ class _Signal:
     def likely(self) -> tuple[float, float]:
         """Return ratio and noise variance, from some long pieces spread over the signal."""
         cuts = sorted(_cut(self.intervals(), SETTINGS.core), key=lambda cut: cut[0] - cut[1])[
-            : 4 * SETTINGS.likely_lanes
+            : SETTINGS.pieces_per_lane * SETTINGS.likely_lanes
         ]
         spread = np.linspace(0, len(cuts) - 1, min(SETTINGS.likely_lanes, len(cuts))).round().astype(int)
         return most_likely_ratio(self.lanes([cuts[k] for k in spread]))
 
     def smoothed(self, ratio: float) -> tuple[States, Array]:
         """Smooth all intervals, long ones in pieces that overlap by many time constants of the smoother."""
-        overlap = int(np.clip(12 * ratio ** (-1 / (2 * ORDER)), 30, 1000))
+        overlap = int(np.clip(SETTINGS.overlap * ratio ** (-1 / (2 * ORDER)), *SETTINGS.overlaps))
         cores = [
             (core, interval)
             for interval in self.intervals()
@@ -344,13 +363,14 @@ def _gross_outliers(t: Array, y: Array) -> Flags:
     seen, result = y[index], np.zeros(len(y), dtype=bool)
     if len(seen) < 2 * ORDER:
         return result
-    close = t[index[4:]] - t[index[:-4]] < 6 * _median_step(t[index])
+    close = t[index[4:]] - t[index[:-4]] < SETTINGS.gross_steps * _median_step(t[index])
     deviation = np.zeros(len(seen))
     deviation[2:-2] = np.abs(seen[2:-2] - (4 * (seen[1:-3] + seen[3:-1]) - seen[:-4] - seen[4:]) / 6) * close
     usual = SERIES.gaussian_mad * float(np.median(deviation[2:-2]))
-    limit = max(5 * SETTINGS.limit * usual, 2 * _median_change(y))
+    limit = max(SETTINGS.gross * SETTINGS.limit * usual, SETTINGS.gross_changes * _median_change(y))
     neighbours = np.maximum(np.roll(deviation, 1), np.roll(deviation, -1))
-    result[index[_peaks(deviation, limit, SETTINGS.separation) & (deviation > 1.25 * neighbours)]] = True
+    alone = deviation > SETTINGS.gross_factor * neighbours
+    result[index[_peaks(deviation, limit, SETTINGS.separation) & alone]] = True
     return result
 
 
@@ -364,7 +384,8 @@ def _peaks(size: Array, limit: float, separation: int) -> Flags:
 def _cleaned(signal: _Signal, ratio: float, noise: float) -> tuple[bool, States]:
     """Remove samples that cannot be motion, the worst of each neighbourhood first, until none stands out."""
     # An outlier or a shift changes the smoothed signal on both sides, over the time constant of the smoother.
-    separation = int(np.clip(4 * ratio ** (-1 / (2 * ORDER)), SETTINGS.separation, 20 * SETTINGS.separation))
+    least, constant = SETTINGS.separation, ratio ** (-1 / (2 * ORDER))
+    separation = int(np.clip(SETTINGS.separation_constants * constant, least, SETTINGS.separations * least))
     changed = False
     for _ in range(SETTINGS.rounds):
         state, shock = signal.smoothed(ratio)
@@ -385,7 +406,7 @@ def _outliers_and_jumps(
     # the residual of a sample has variance 1 - P; over its square root it is the deletion residual,
     # standardised
     own = np.nan_to_num(1.0 - state.covariance[:, 0, 0], nan=1.0)
-    deletion_residual = np.abs(residual) / np.sqrt(np.maximum(own, 1e-3))
+    deletion_residual = np.abs(residual) / np.sqrt(np.maximum(own, SETTINGS.least_own))
     shift = np.where(signal.jump, 0.0, np.abs(np.nan_to_num(shock)))
     typical = SERIES.gaussian_mad * float(np.median(deletion_residual[np.isfinite(signal.y)]))
     limit = SETTINGS.limit * max(noise, typical)

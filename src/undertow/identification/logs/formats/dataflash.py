@@ -49,10 +49,14 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class RecordSettings:
-    """How much of a file is held and searched at once, bytes."""
+    """How much of a file is held and searched at once, bytes, and how its messages are understood."""
 
     searched: int = 1 << 20  # for heads at a time: they stay in the cache of a processor
     mapped_size: int = 1 << 28  # size from which on a file is mapped instead of read
+    # Share of the time in which an estimator holds its place, from which it is not used.
+    held: float = 0.95
+    # Usual step of vision odometry beyond which it is in microseconds, not in seconds.
+    microseconds: float = 100.0
 
 
 RECORDS = RecordSettings()
@@ -419,7 +423,7 @@ class _Navigation:
         if rows is None:
             return False
         still = all(np.ptp(place) == 0.0 for place in rows[1:3])
-        return not still and sum(b - a for a, b in self.held) < 0.95 * float(np.ptp(rows[0]))
+        return not still and sum(b - a for a, b in self.held) < RECORDS.held * float(np.ptp(rows[0]))
 
     def columns(self) -> dict[str, Column]:
         """Position, velocity, attitude and rates."""
@@ -442,7 +446,7 @@ class _Navigation:
         rows = self._file.rows("VISO", "dt", "PosDX", "PosDY", "PosDZ")
         if rows is not None:
             # Firmware says seconds, units of some versions say microseconds.
-            step = rows[1] * (1e-6 if np.median(rows[1]) > 100.0 else 1.0)
+            step = rows[1] * (1e-6 if np.median(rows[1]) > RECORDS.microseconds else 1.0)
             step = np.where(step > 0, step, np.nan)
             columns = self._file.series["VISO"].columns
             _computed(columns, "uvw", lambda: [moved / step for moved in rows[2:]])
