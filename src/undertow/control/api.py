@@ -14,7 +14,7 @@ from undertow.typing import Progress
 
 from .conditions.check import Uncertain
 from .conditions.full_loop import certify
-from .conditions.problem import Uncertainty
+from .conditions.problem import SEARCH, Uncertainty
 from .conditions.result import Report
 from .gains import GainSet, load_gains
 
@@ -27,11 +27,11 @@ def check_gains(
     vehicle: Vehicle,
     gains: str | Path | GainSet,
     *,
-    confidence: float = 0.95,
+    confidence: float = SEARCH.confidence,
     covariance: tuple[Sequence[str], Any] = ((), ()),
     forms: Sequence[str] = (),
     iota: float | None = None,
-    tilt: float = 60.0,
+    tilt: float = SEARCH.tilt,
     start: Mapping[str, float] | None = None,
     uncertain: Uncertain = None,
     observer: str | Path | None = None,

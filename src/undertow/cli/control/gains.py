@@ -345,6 +345,8 @@ def _explain(rows: list[Row]) -> None:
 
 
 def _show_routh(report: Report) -> None:
+    from undertow.control.conditions.result import SETTINGS
+
     if not report.channels:
         return
     section("Linearised channels at rest (Routh-Hurwitz)")
@@ -358,7 +360,7 @@ def _show_routh(report: Report) -> None:
         )
     )
     for name, roots in report.coupled.items():
-        grows = roots[0].real > 1e-6
+        grows = roots[0].real > SETTINGS.slowest_decay
         of = f", {name}" if name else ""
         say(f"  all axes together{of}: {_roots(roots)}{'; UNSTABLE' if grows else ''}", _RED if grows else "")
     if any(c.coordinate == "x heading east" for c in report.channels):

@@ -229,6 +229,8 @@ class SamplingSettings:
     # corrects).
     neutral: float = 1e-4
     intervals: tuple[float, float] = (1e-4, 1e3)  # shortest and longest that are tried, s
+    tried: int = 141  # intervals from the one to the other
+    halvings: int = 40  # of the space between two of them
     # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
     creep: float = 1e-9
     longest_step: float = 0.05  # longest Runge-Kutta step, s,
@@ -291,12 +293,12 @@ class SampledLoop:
 
     def longest_interval(self) -> float:
         """The longest interval with which sampling destabilises nothing, s; infinite if unlimited."""
-        grid = np.geomspace(*SETTINGS.intervals, 141)
+        grid = np.geomspace(*SETTINGS.intervals, SETTINGS.tried)
         bad = next((i for i, dt in enumerate(grid) if not self.keeps_stability(float(dt))), None)
         if bad is None:
             return np.inf
         low, high = (float(grid[bad - 1]), float(grid[bad])) if bad else (0.0, SETTINGS.intervals[0])
-        for _ in range(40):
+        for _ in range(SETTINGS.halvings):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.keeps_stability(middle) else (low, middle)
         return low

@@ -25,6 +25,7 @@ class MeasureSettings:
     oscillating: float = 0.6  # part of the run, its end, that an oscillation is sought in
     hysteresis: float = 0.1  # part of the greatest swing that a crossing must leave behind to count
     fewest: int = 3  # cycles
+    samples: int = 8  # fewest in that part of the run
     steady: float = 0.01  # change of the amplitude from cycle to cycle that counts as none
     regular: float = 0.1  # scatter of a period that still is one
     band: float = 0.02  # of a step, in which it has settled
@@ -32,6 +33,7 @@ class MeasureSettings:
     # Smallest amplitude of an oscillation that is mentioned, as a part of the largest error, and in m or rad.
     least_amplitude_share: float = 2e-3
     least_amplitude: float = 1e-5
+    at_limit: float = 1e-12  # share of its limit by which a command may miss it, and is still limited
 
 
 SETTINGS = MeasureSettings()
@@ -53,7 +55,7 @@ def find_cycle(t: np.ndarray, error: np.ndarray, least: float) -> Cycle | None:
     """The oscillation in the last three fifths of a run, if there is one of this amplitude at least."""
     tail = t >= t[-1] - SETTINGS.oscillating * (t[-1] - t[0])
     t, error = t[tail], error[tail]
-    if len(t) < 8 or not np.isfinite(error).all():
+    if len(t) < SETTINGS.samples or not np.isfinite(error).all():
         return None
     middle = 0.5 * (error.max() + error.min())
     swing = error - middle
@@ -346,7 +348,7 @@ class _Commands:
         self._effort += dt * size.sum(axis=0)
         self._square += dt * (u**2).sum(axis=0)
         self._peak = np.maximum(self._peak, size.max(axis=0))
-        self._limited += dt * (size >= self._limits * (1 - 1e-12)).sum(axis=0)
+        self._limited += dt * (size >= self._limits * (1 - SETTINGS.at_limit)).sum(axis=0)
         before = u[:1] if self._last is None else self._last
         self._changes += np.abs(np.diff(np.vstack([before, u]), axis=0)).sum(axis=0)
         self._last, self._time = u[-1:], self._time + dt * len(u)

@@ -20,6 +20,7 @@ class RunSettings:
 
     most_samples: int = 50_000_000  # of a run, or steps of one without sampling
     samples_per_call: int = 20_000  # that are simulated at a time
+    rows: int = 5000  # that are recorded, about, where no interval is stated
 
 
 RUNS = RunSettings()
@@ -96,7 +97,7 @@ class Scenario:
     def stride(self) -> int:
         """Samples from one recorded row to the next."""
         if self.log_interval is None:
-            return max((self.samples - 1) // 5000, 1)
+            return max((self.samples - 1) // RUNS.rows, 1)
         return max(round(self.log_interval / self.dt), 1)
 
     def pose(self, values: Sequence[Quantity], names: tuple[str, ...], what: str) -> dict[str, float]:

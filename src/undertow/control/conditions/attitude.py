@@ -168,7 +168,7 @@ def tan(x: Any) -> Interval:
 
 def _contains(x: Interval, place: float) -> Flags:
     """Whether an interval may contain `place` plus whole turns."""
-    slack = 1e-12
+    slack = BOUNDS.slack
     first = np.ceil((x.lo - place - slack) / (2 * np.pi))
     return place + 2 * np.pi * first <= x.hi + slack
 
@@ -235,6 +235,9 @@ class BoundSettings:
     grid: int = 9  # points for each angle from which the least margin is searched for
     heading_cuts: int = 36  # boxes of a whole turn where a bound is not refined
     tilt_cuts: int = 8  # the same of roll and of pitch
+    # Search for the least margin near the lowest point: accuracy of angles, rad, and of the margin; rounds.
+    polish: tuple[float, float, int] = (1e-6, 1e-12, 200)
+    slack: float = 1e-12  # rad by which an extreme of a sine may lie beside an interval and counts as inside
 
 
 BOUNDS = BoundSettings()
@@ -467,9 +470,10 @@ def _least_sampled(
     ]
     lowest, first = min(candidates)
     one = np.zeros(1, dtype=int)
+    close, level, rounds = BOUNDS.polish
     found = minimize(
         lambda x: float(at(np.clip(x, box[:, 0], box[:, 1])[None], one, case[[first]])[0]),
-        grid[place[first]], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12, "maxiter": 200},
+        grid[place[first]], method="Nelder-Mead", options={"xatol": close, "fatol": level, "maxiter": rounds},
     )  # fmt: skip
     worst = np.clip(found.x, box[:, 0], box[:, 1])
     polished = float(at(worst[None], one, case[[first]])[0])

@@ -276,7 +276,9 @@ class ComparisonSettings:
 
     seed: int = 20210405
     points: int = 3  # at least so many random points, and one for each set of signs
+    sizes: tuple[float, float] = (0.2, 1.2)  # of all numbers at these points, SI: none is near zero
     tolerance: float = 1e-9  # relative difference that counts as rounding
+    least: float = 1e-12  # of derivatives whose difference is relative to them, SI
 
 
 COMPARISON = ComparisonSettings()
@@ -443,11 +445,11 @@ def derivative_difference(plant: Plant, law: Law) -> float:
     random, worst = Random(COMPARISON.seed), 0.0
     for switches in _sign_combinations(plant):
         signs = {x: random.choice((-1.0, 1.0)) if x in signed else 1.0 for x in names} | switches
-        values = {x: signs[x] * random.uniform(0.2, 1.2) for x in names}
+        values = {x: signs[x] * random.uniform(*COMPARISON.sizes) for x in names}
         values |= {_sign_symbol(v): sign for v, sign in switches.items()}
         (moved, stated), slope, M, net = map(np.array, function(*(values[x] for x in names)))
         one, other = float(moved[0] + (slope @ np.linalg.solve(M, net))[0, 0]), float(stated[0])
-        worst = max(worst, abs(one - other) / max(abs(one), abs(other), 1e-12))
+        worst = max(worst, abs(one - other) / max(abs(one), abs(other), COMPARISON.least))
     return worst
 
 

@@ -187,7 +187,8 @@ def _unactuated_verdict(
     if poles[0].real > SETTINGS.slowest_decay:
         return False, f"{names}: unactuated and unstable, it diverges at {poles[0].real:.4g} 1/s"
     free = [a for a, row in zip(axes, stiffness, strict=True) if not np.any(row)]
-    loaded = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free and abs(f) > 1e-9}
+    acting = {a: abs(f) for a, f in zip(axes, forces, strict=True) if a in free}
+    loaded = {a: f for a, f in acting.items() if f > SETTINGS.no_force}
     if loaded:
         force = float(max(loaded.values()))
         return False, (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -22,6 +23,7 @@ from .problem import (
     NOMINAL,
     OPEN,
     SAMPLED,
+    SEARCH,
     ParameterBox,
     Problem,
     RobustVerdict,
@@ -45,7 +47,7 @@ def check(
     *,
     forms: Sequence[str] = (),
     iota: float | None = None,
-    tilt: float = np.pi / 3,
+    tilt: float = math.radians(SEARCH.tilt),
     start: Mapping[str, float] | None = None,
     uncertain: Uncertain = None,
     progress: Progress = lambda done, words: None,
@@ -238,7 +240,7 @@ def _rows_over_sets(evaluation: _Evaluation, uncertainty: Uncertainty) -> list[R
         return rows
     least = min(r.margin for r in rows)
     mixed = [evaluation.row(signs, uncertainty) for signs in others]
-    return rows + [r for r in mixed if r.margin < least - 1e-12 * abs(least) and r.verdict != HOLDS]
+    return rows + [r for r in mixed if r.margin < least - SEARCH.rounding * abs(least) and r.verdict != HOLDS]
 
 
 def _same_verdicts(one: Row, other: Row) -> bool:

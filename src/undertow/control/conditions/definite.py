@@ -31,6 +31,7 @@ class ProofSettings:
     batch: int = 4096  # matrices that are looked at together: memory
     # Relative, of objective and forms: what is found is proved afterwards, with more room than that.
     program_accuracy: float = 1e-4
+    program_rounds: int = 80  # of the solver, at most
 
 
 SETTINGS = ProofSettings()
@@ -286,7 +287,7 @@ def solve_sdp(cost: Array, inequalities: Sequence[LMI]) -> Solution | None:
 def _settings(clarabel: Any, decompose: bool) -> Any:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_iter = 80
+    settings.max_iter = SETTINGS.program_rounds
     settings.max_threads = 1
     settings.direct_solve_method = "faer"  # dense blocks: twice as fast as the default
     # Programs come scaled and need few digits: without these two it takes half the time.

@@ -205,7 +205,7 @@ def _linear_verdict(case: _Case, loop: LinearLoop) -> FullLoop:
     # Rank after balancing, so that states of small and large numbers count alike.
     balanced, _ = matrix_balance(matrix)
     singular = np.linalg.svd(balanced, compute_uv=False)
-    rank_deficiency = len(matrix) - int(np.sum(singular > 1e-9 * singular[0]))
+    rank_deficiency = len(matrix) - int(np.sum(singular > SETTINGS.rank * singular[0]))
     if case.unactuated and undamped > rank_deficiency:
         text = f"an unactuated motion, or the integral of its error, diverges ({case.where or 'at rest'})"
         return FullLoop("unstable", worst, text)
@@ -248,7 +248,7 @@ def _simulated(gains: GainSet, region: Region, found: FullLoop, rest: Mapping[st
     try:
         runs = run(SETTINGS.dt)
     except UndertowError:
-        runs = run(SETTINGS.dt / 10)
+        runs = run(SETTINGS.dt / SETTINGS.finer)
     residuals = _residual_errors(gains, runs.states[:, -1], rest, starts)
     worst = int(np.argmax(residuals))
     # A loop too slow for the longest simulation has to do what its slowest pole says, with some slack.

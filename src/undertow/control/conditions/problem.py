@@ -35,13 +35,21 @@ class SearchSettings:
     points: int = 19  # points in between at first, one for each power of ten
     refined_points: int = 9  # points between the neighbours of the best one, again and again
     tolerance: float = 1e-8  # relative distance of neighbours that is close enough
+    edge_tolerance: float = 1e-14  # the same of the ends of a range, absolute and relative, of the logarithm
     rounding: float = 1e-12  # of margins, relative to the largest at any attitude
+    singular: float = 1e-12  # least eigenvalue of a mass matrix, relative to the largest, that is none
+    flat: float = 1e-14  # the same of a covariance: the parameters do not move along its vector
+    unchanged: float = 1e-9  # relative change of a parameter that is not mentioned
+    heading_step: int = 10  # between headings of the loop at rest, degrees
     headings: int = 7  # samples of half a turn, after which J M J' is the same: every 30 degrees
     tilts: int = 7  # samples of roll and of pitch: every 20 degrees at the range of conditions unless stated
     max_corners: int = 12  # of more parameters than this the corners (two to this power) are not tried
-    # Largest roll and pitch that can be covered, degrees: at 90 of pitch J has no inverse.
+    # Largest roll and pitch that are covered unless stated, and that can be, degrees: at 90 of pitch J has no
+    # inverse.
+    tilt: float = 60.0
     tilt_range: tuple[float, float] = (1.0, 85.0)
-    confidence_range: tuple[float, float] = (0.5, 0.9999)  # of intervals and ellipsoids
+    confidence: float = 0.95  # of intervals and ellipsoids unless stated, and
+    confidence_range: tuple[float, float] = (0.5, 0.9999)  # what can be
     sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
 
 
@@ -96,7 +104,7 @@ def sign_sets(plant: Plant) -> list[SignSet]:
         if not np.isfinite(sign_set.damping).all():
             raise UndertowError(f"damping at rest{of} is not finite: conditions need it; check [effects]")
         values, vectors = np.linalg.eigh(sign_set.inertia)
-        if values[0] <= 1e-12 * max(values[-1], 1e-300):
+        if values[0] <= SEARCH.singular * max(values[-1], 1e-300):
             worst = dofs[int(np.argmax(np.abs(vectors[:, 0])))]
             raise UndertowError(
                 f"the mass matrix of '{plant.vehicle.name}'{of} is singular or not positive definite, about "
@@ -224,7 +232,8 @@ def _edge(margins: Margins, peak: float, end: float, beyond: float) -> float:
     def margin(x: float) -> float:
         return float(margins(np.exp([x]))[0])
 
-    return beyond if margin(end) > 0 else math.exp(brentq(margin, end, peak, xtol=1e-14, rtol=1e-14))
+    close = SEARCH.edge_tolerance
+    return beyond if margin(end) > 0 else math.exp(brentq(margin, end, peak, xtol=close, rtol=close))
 
 
 def interior_point(span: Span) -> float:
@@ -244,7 +253,10 @@ class Problem:
     """
 
     def __init__(
-        self, gains: GainSet, tilt: float = np.pi / 3, parameter_box: ParameterBox = EXACT_PARAMETERS
+        self,
+        gains: GainSet,
+        tilt: float = math.radians(SEARCH.tilt),
+        parameter_box: ParameterBox = EXACT_PARAMETERS,
     ) -> None:
         low, high = SEARCH.tilt_range
         degrees = round(math.degrees(tilt), 9)
@@ -317,7 +329,7 @@ class Problem:
     @cached_property
     def headings(self) -> list[tuple[float, Array]]:
         """Headings to try, degrees, with J on an even keel; the loop at rest repeats after half a turn."""
-        degrees = map(float, range(0, 180, 10) if self.heading_matters else [0])
+        degrees = map(float, range(0, 180, SEARCH.heading_step) if self.heading_matters else [0])
         inverses = ((d, self.attitudes.at({"psi": float(np.radians(d))})) for d in degrees)
         return [(d, np.asarray(np.linalg.inv(inverse), dtype=float)) for d, inverse in inverses]
 
@@ -571,7 +583,10 @@ class Uncertainty:
     """
 
     def __init__(
-        self, vehicle: Vehicle, confidence: float = 0.95, covariance: tuple[Sequence[str], Any] = ((), ())
+        self,
+        vehicle: Vehicle,
+        confidence: float = SEARCH.confidence,
+        covariance: tuple[Sequence[str], Any] = ((), ()),
     ) -> None:
         low, high = SEARCH.confidence_range
         if not low <= confidence <= high:
@@ -619,7 +634,7 @@ class Uncertainty:
         reach = float(np.sqrt(chdtri(count, 1 - self.confidence)))
         feature_covariance = features @ covariance @ features.T
         values, vectors = np.linalg.eigh(feature_covariance)
-        kept = values > 1e-14 * max(values[-1], 1e-300)
+        kept = values > SEARCH.flat * max(values[-1], 1e-300)
         # Columns: how the parameters move along each axis of the ellipse of the features.
         axes = reach * (covariance @ features.T @ vectors[:, kept]) / np.sqrt(values[kept])
         around, on_ball = _polytope(axes.shape[1])
@@ -681,7 +696,7 @@ class Uncertainty:
             return RobustVerdict(NOMINAL, least, {})
         # The parameters that differ from the file's, as the file would write them.
         vehicle, triples = self.vehicle, zip(signs.names, points[worst], signs.theta, strict=True)
-        changed = {n: v for n, v, own in triples if abs(v - own) > 1e-9 * max(abs(own), 1e-9)}
+        changed = {n: v for n, v, own in triples if abs(v - own) > SEARCH.unchanged * max(abs(own), 1e-9)}
         return RobustVerdict(
             SOME,
             least,

@@ -36,8 +36,9 @@ class QuadraticSettings:
     sectors: int = 6
     # Boxes of angles are halved so often until the proof succeeds or is given up.
     halvings: int = 6
-    # Matrices of 12 rows that the proofs of one search may look at in vain: seconds. Of larger ones there are
-    # fewer, as this power of the number of rows: with their ends, those of 18 rows take 25 times as long.
+    rows: int = 12  # of the matrices by which work is counted
+    # Matrices of so many rows that the proofs of one search may look at in vain: seconds. There are fewer of
+    # larger ones, as this power of the rows: with their ends, those of 18 rows take 25 times as long.
     max_matrices: int = 100_000
     matrices_power: float = 8.0
     full_proof_factor: int = 4  # matrices of the proof of the whole, times those of what the start needs
@@ -46,8 +47,8 @@ class QuadraticSettings:
     sampled_corners: int = 512  # attitudes and signs whose worst corner a round of the program looks for
     eigenvectors: int = 3  # eigenvectors from which that corner is looked for, and
     alternations: int = 4  # turns between the corner and its eigenvector
-    # Matrix inequalities of 12 rows that the solver is given in one search: seconds. Of larger ones there are
-    # fewer, as this power of the number of rows.
+    # Matrix inequalities of as many rows that the solver is given in one search: seconds. There are fewer of
+    # larger ones, as this power of the number of rows.
     max_lmis: int = 3000
     lmi_power: float = 7.0
     rounds: int = 12  # of the program, each with the worst corners of the last one added
@@ -56,7 +57,9 @@ class QuadraticSettings:
     lowest_start_level: float = 0.5  # the start's level is not lowered further: V has room for other things
     level_tolerance: float = 0.02  # rise of the start's level in a round below which it is known
     max_speed_boxes: int = 40  # boxes of speeds that are tried
-    first_step: float = 0.7  # of a speed, as a logarithm; half as much again while it helps, else half
+    first_step: float = 0.7  # of a speed, as a logarithm
+    longer: float = 1.5  # factor on a step that helped
+    shorter: float = 0.5  # factor on one that did not
     first_speed: float = 2.0  # factor on the speeds that an undamped or an overdamped axis would reach
     shrink: float = 0.6  # factor on speeds for which there is no V
     least_speed: float = 1e-3  # of the first speeds, below which none is looked for: no error would move
@@ -67,6 +70,9 @@ class QuadraticSettings:
     least_step: float = 0.03  # change of speeds, relative, below which no better ones are looked for
     # Least part of the largest start error that counts for coordinates with none, so that they may be moved.
     least_share: float = 0.1
+    least_of_all: float = 1e-3  # the same of translations beside rotations, and the other way round
+    least_form: float = 1e-6  # eigenvalue that P has at least, in scaled coordinates
+    curvature_room: float = 1.001  # factor on what interpolation misses, for rounding
     tilt_factor: float = 2.0  # roll and pitch that are allowed for, times those of the start
     # Degrees of freedom up to which P may be a full matrix. Beyond, it has a block for each axis, as gains
     # have: the search takes seconds then instead of minutes.
@@ -74,8 +80,8 @@ class QuadraticSettings:
     rounded_zero: float = 1e-100  # what outward rounding makes of zero is below it
 
     def share(self, size: int, power: float) -> float:
-        """Which part of the work for matrices of 12 rows is for those of so many."""
-        return float(min(12 / size, 1.0) ** power)
+        """Which part of the work for matrices of `rows` rows is for those of `size` rows."""
+        return float(min(self.rows / size, 1.0) ** power)
 
 
 SETTINGS = QuadraticSettings()
@@ -318,7 +324,7 @@ class Program:
         level[k : k + g] = [float(np.sum(start[group][:1] ** 2)) for group in groups]
         rows = self._state_bounds()
         inequalities = self._decreases(keys, B, C)
-        inequalities += [LMI(-1e-6 * np.eye(size), self._coefficients(self.basis))]
+        inequalities += [LMI(-SETTINGS.least_form * np.eye(size), self._coefficients(self.basis))]
         inequalities += [self._row_inequality(r.states @ T, r.bound) for r in rows]
         errors = slice(size - 2 * n, size - n)
         slots = np.zeros((g, n, n))

@@ -149,7 +149,7 @@ class QuadraticSearch:
                     return None
                 continue
             better = best is None or step.start < best.start
-            radius *= 1.0 if best is None else 1.5 if better else 0.5
+            radius *= 1.0 if best is None else SETTINGS.longer if better else SETTINGS.shorter
             slopes.add(step)
             best = step if best is None or better else best
             radius = min(radius, np.log(SETTINGS.max_growth))
@@ -233,7 +233,7 @@ class QuadraticSearch:
                 found[kind] = np.maximum(found[kind], SETTINGS.least_share * found[kind].max())
         if not found.any():
             raise UndertowError("the start box has no error at all: state one, as x=0.5 m")
-        return np.maximum(found, 1e-3 * found.max())
+        return np.maximum(found, SETTINGS.least_of_all * found.max())
 
 
 # --- the proof --------------------------------------------------------------------------------------
@@ -374,7 +374,7 @@ class Proof:
         own = np.zeros((count_of(boxes), self.loop.size, self.loop.size))
         free = own.copy()
         for angle, side in boxes.items():
-            share = 1.001 * (side.hi - side.lo)[:, None, None] ** 2 / 8
+            share = SETTINGS.curvature_room * (side.hi - side.lo)[:, None, None] ** 2 / 8
             own += share * self.loop.curvature(self.corners, boxes, angle) * self.scale / self.scale[:, None]
             turn = self.loop.body_jet(boxes, angle) * self._scale_ratio
             for N, value in zip(self.free, self.program.values, strict=True):

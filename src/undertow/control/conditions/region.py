@@ -173,7 +173,7 @@ def _largest_level(allowed: Callable[[float], bool], upper: float) -> float:
     low, high = np.log(lowest), np.log(highest)
     if not allowed(lowest):
         return 0.0
-    while high - low > 0.01:
+    while high - low > SETTINGS.level_tolerance:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if allowed(float(np.exp(middle))) else (low, middle)
     return float(np.exp(low))

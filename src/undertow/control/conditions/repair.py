@@ -35,6 +35,9 @@ class RepairSettings:
     slacks: tuple[float, ...] = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
     # Powers of ten of iota, 1/s, and points between which its best value is searched for.
     iota_grid: tuple[float, float, int] = (-4, 1, 26)
+    iota_tolerance: float = 1e-7  # of its logarithm
+    infeasible: float = 1e-9  # what is left of a target of one where no gains meet all demands
+    unchanged: float = 1e-9  # relative change of a gain that is none
 
 
 SETTINGS = RepairSettings()
@@ -86,7 +89,7 @@ def _least_distance(slopes: Array, floors: Array) -> Array | None:
     target = np.zeros(matrix.shape[0])
     target[-1] = 1.0
     multipliers, distance = nnls(matrix, target, maxiter=50 * matrix.shape[1])
-    if distance < 1e-9:
+    if distance < SETTINGS.infeasible:
         return None
     rest = matrix @ multipliers - target
     return -rest[:-1] / rest[-1] * scale
@@ -275,10 +278,8 @@ def _best_iota(solve: Callable[[float], Array | None]) -> tuple[float | None, Ar
     if math.isinf(costs[best]):
         return None, None
     around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, points - 1)])
-    big = 1e6 * (1.0 + costs[best])
-    found = minimize_scalar(
-        lambda v: min(cost(v), big), bounds=around, method="bounded", options={"xatol": 1e-7}
-    )
+    big, close = 1e6 * (1.0 + costs[best]), {"xatol": SETTINGS.iota_tolerance}
+    found = minimize_scalar(lambda v: min(cost(v), big), bounds=around, method="bounded", options=close)
     iota = math.exp(found.x if found.fun < costs[best] else grid[best])
     return iota, solve(iota)
 
@@ -357,7 +358,7 @@ def _result(kind: str, variables: _Variables, change: Array | None, iota: float 
     for name in variables.names:
         for i, coordinate in enumerate(problem.coordinates):
             old = float(problem.values[name][i])
-            if old and abs(new[name][i] / old - 1) > 1e-9:
+            if old and abs(new[name][i] / old - 1) > SETTINGS.unchanged:
                 gains.setdefault(name, {})[coordinate] = float(new[name][i])
                 factors.setdefault(name, {})[coordinate] = float(new[name][i]) / old
     return Repair(kind, KINDS[kind].method, gains, factors, iota, True)

@@ -35,12 +35,15 @@ class CertificateSettings:
     default_starts: tuple[float, ...] = (0.5, 0.1, 0.02)
     lowest_level: float = 1e-30  # level of V, J, below which a region counts as none
     highest_level: float = 1e30  # the same above which it counts as everything
+    level_tolerance: float = 0.01  # of its logarithm
     largest_error: float = 1e4  # errors beyond it are not looked at where thrusters have limits, m
     # Error of the reported pose, m and rad, with which a loop may come to rest and still hold its set-point:
     # the accuracy of acoustic positioning and magnetic compasses.
     largest_offset: float = 0.1
     # A motion that decays more slowly does not count as decaying, 1/s: its time constant is over a week.
     slowest_decay: float = 1e-6
+    no_force: float = 1e-9  # force or moment at the set-point that is rounding, N and N m
+    rank: float = 1e-9  # singular values of the whole loop, balanced, below this part of the largest
     # At how many headings the whole loop is linearised where its motion depends on the heading.
     headings: int = 12
     pade_order: int = 4  # order of the approximation of dead times there
@@ -51,7 +54,8 @@ class CertificateSettings:
     time_constants: float = 20.0  # length of these simulations in slowest time constants
     # Its limits, s: what takes longer than a quarter of an hour is judged by that.
     durations: tuple[float, float] = (30.0, 900.0)
-    dt: float = 0.01  # sampling interval there, s; a tenth of it where the law needs that
+    dt: float = 0.01  # sampling interval there, s
+    finer: float = 10.0  # and so much shorter where the law needs that
     largest_residual: float = 0.25  # part of the error of the start that may be left at the end
     # Factor on what the slowest pole leaves of it, where that is more: poles are those near rest only.
     pole_slack: float = 1.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -40,7 +41,7 @@ from .attitude import (
 )
 from .by_law import CONDITIONS, DERIVED_PD_DAMPER, POSITIVE_CANDIDATE
 from .commands import numeric_matrix, sizes_and_signs, terms_of
-from .problem import Problem, Span, sign_sets
+from .problem import SEARCH, Problem, Span, sign_sets
 from .result import FAILS, HOLDS, SETTINGS, UNPROVED
 
 
@@ -52,6 +53,8 @@ class TrackingSettings:
     # of error.
     velocity_factor: float = 2.0
     iotas: int = 12  # values of iota that are tried in the range which serves a set-point
+    iota_range: tuple[float, float] = (1e-6, 1e6)  # as far as that range lies in this one, 1/s
+    headings: int = 9  # of half a turn at which they are tried
     max_products: int = 3  # products of velocities in D at most, each of which doubles the corners
     samples: int = 400  # times at which the commands on the reference are looked at
     dt: float = 0.02  # sampling interval of the loop on legs, s: what autopilots have
@@ -59,6 +62,8 @@ class TrackingSettings:
     # what is left of the start is below `steady_change` of it.
     time_constants: float = 30.0
     longest_simulation: float = 2000.0  # s, at most
+    far: float = 10.0  # length of a leg without end, in what the vehicle makes in that time
+    rounding: float = 1e-12  # of damping, and of what states do to each other in a sample
     steady_change: float = 1e-6  # change in a second that counts as steady, m, rad, m/s and rad/s
 
 
@@ -96,7 +101,7 @@ class MissionReport:
         return all(r.verdict == HOLDS for r in self.rows)
 
 
-def check_mission(gains: GainSet, mission: Mission, tilt: float = np.pi / 3) -> MissionReport:
+def check_mission(gains: GainSet, mission: Mission, tilt: float = math.radians(SEARCH.tilt)) -> MissionReport:
     """Check the conditions for the tracking error of a mission, without simulating it.
 
     `tilt` is the largest roll and pitch that conditions on a reference cover, rad.
@@ -183,7 +188,7 @@ def _pd_row(problem: Problem, mission: Mission) -> MissionRow:
     symmetric = np.unique(symmetric.round(12), axis=0)
     kept: list[Array] = []
     for matrix in sorted(symmetric, key=lambda m: float(np.trace(m))):
-        if all(np.linalg.eigvalsh(matrix - other)[0] < -1e-12 for other in kept):
+        if all(np.linalg.eigvalsh(matrix - other)[0] < -TRACKING.rounding for other in kept):
             kept.append(matrix)
     sets = [problem.with_damping(d) for d in np.array(kept)]
 
@@ -272,7 +277,7 @@ class DecreaseCondition:
         """The iota with which the margin at some attitudes is largest, on a grid and on a finer one."""
         stack = self.attitudes.numbers(self._sampled_angles())
         place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
-        low, high = max(span[0], 1e-6), min(span[1], 1e6)
+        low, high = np.clip(span, *TRACKING.iota_range)
         for _ in range(2):  # the margin is concave in iota
             iotas = np.geomspace(low, high, TRACKING.iotas + 2)
             k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))
@@ -288,8 +293,9 @@ class DecreaseCondition:
         most = self.attitudes.tilt
         rows = np.array(list(product((-most, 0.0, most), repeat=len(tilts)))).T
         found = dict(zip(tilts, rows, strict=True))
-        headings = {"psi": np.linspace(0, np.pi, 9, endpoint=False)} if "psi" in angles else {}
-        return found | {a: np.resize(v, rows.shape[1] if tilts else 9) for a, v in headings.items()}
+        count = TRACKING.headings
+        headings = {"psi": np.linspace(0, np.pi, count, endpoint=False)} if "psi" in angles else {}
+        return found | {a: np.resize(v, rows.shape[1] if tilts else count) for a, v in headings.items()}
 
     def certificate(self, iota: float) -> Certificate:
         """The margin over all attitudes and corners, with its proof."""
@@ -469,7 +475,7 @@ def _leg_row(
     along: Array,
 ) -> MissionRow:
     """Poles of vehicle, autopilot and guidance together on a leg without end, for all of its direction."""
-    far = 10 * TRACKING.longest_simulation * mission.limits.speed
+    far = TRACKING.far * TRACKING.longest_simulation * mission.limits.speed
     direction = along / np.linalg.norm(along)
     endless = LineOfSight(
         reference.names,
@@ -557,10 +563,11 @@ def _relevant_states(slope: Array, names: list[str], vehicle: Vehicle) -> list[i
     poses = vehicle.pose_names
     count = {i for i, n in enumerate(names) if n in (*poses, *vehicle.velocity_names) and n != "x"}
     # What nothing drives has no pole: integrals of errors that are zero by the guidance.
-    undriven = set(map(int, np.flatnonzero((np.abs(slope - np.eye(len(slope))) < 1e-12).all(axis=1))))
+    none = TRACKING.rounding
+    undriven = set(map(int, np.flatnonzero((np.abs(slope - np.eye(len(slope))) < none).all(axis=1))))
     fixed = undriven | {names.index(n) for n in _DISCRETE}
     while True:
-        coupled = {int(j) for i in count for j in np.flatnonzero(np.abs(slope[i]) > 1e-12)} - fixed - {0}
+        coupled = {int(j) for i in count for j in np.flatnonzero(np.abs(slope[i]) > none)} - fixed - {0}
         if coupled <= count:
             return sorted(count - fixed)
         count |= coupled

@@ -82,13 +82,18 @@ class MissionTable(FileTable):
 
 @dataclass(frozen=True)
 class MissionLimits:
-    """Limits beyond which a unit is wrong: no vehicle in water has such a mission."""
+    """Limits beyond which a unit is wrong, as no vehicle in water has such a mission, and time to spare."""
 
     size: float = 1e6  # m and rad, of a way-point
     low: float = 1e-6  # of speeds, accelerations and distances, SI
     high: float = 1e4
     longest: float = 1e7  # s
     closest: float = 1e-3  # way-points of splines and legs, m
+    steepest: float = math.radians(85)  # of legs, rad
+    rounding: float = 1e-9  # relative, by which a trajectory may exceed its limits
+    # Time to simulate: factor on that of the mission, and s more, of legs and of trajectories.
+    legs: tuple[float, float] = (1.5, 30.0)
+    trajectory: tuple[float, float] = (1.1, 5.0)
 
 
 LIMITS = MissionLimits()
@@ -119,8 +124,10 @@ class Mission:
     def simulation_time(self, names: tuple[str, ...]) -> float:
         """Time to simulate, with some to spare, s."""
         if self.kind == "legs":
-            return 1.5 * self.length / self.limits.speed + 30.0
-        return 1.1 * self.profile(names).duration + 5.0
+            factor, more = LIMITS.legs
+            return factor * self.length / self.limits.speed + more
+        factor, more = LIMITS.trajectory
+        return factor * self.profile(names).duration + more
 
     def reference(self, gains: GainSet) -> Reference:
         """What a controller with these gains follows."""
@@ -226,7 +233,7 @@ def _check_limits(profile: Profile, limits: Limits) -> None:
         for order, limit in enumerate(limits.of(angles), 1):
             peaks = profile.peaks(order, angles)
             worst = int(np.argmax(peaks))
-            if peaks[worst] > limit * (1 + 1e-9):
+            if peaks[worst] > limit * (1 + LIMITS.rounding):
                 what, by = (name, unit) if order == 1 else (f"{name.split()[0]} acceleration", f"{unit}^2")
                 factor = (peaks[worst] / limit) ** (1 / order)
                 raise UndertowError(
@@ -330,7 +337,7 @@ def _guidance(table: GuidanceTable) -> Guidance:
         raise UndertowError(
             f"[guidance] integral = {table.integral}: give 0 m/s (LOS) or a value above it (ILOS)"
         )
-    if not 0 < steepest < math.radians(85):
+    if not 0 < steepest < LIMITS.steepest:
         raise UndertowError(f"[guidance] steepest = {table.steepest}: give an angle above 0 and below 85 deg")
     return Guidance(**sizes, integral=integral, steepest=steepest)
 

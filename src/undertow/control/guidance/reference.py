@@ -111,6 +111,8 @@ class ReferenceSettings:
     # The ends of a spline begin and end at rest: so much longer than at full speed (a quintic from rest to
     # rest has 1.875 times its mean speed at most; one end of it has about half of that).
     end_factor: float = 1.4
+    real: float = 1e-6  # imaginary part of a root, relative to the length of its piece, that is rounding
+    room: float = 1e-12  # by which a path is slower than its limits, relative, for rounding
 
 
 SETTINGS = ReferenceSettings()
@@ -194,7 +196,7 @@ def _peak(square: Polynomial, length: float) -> float:
     """The largest value of a polynomial from 0 to `length`."""
     slope = square.deriv().trim(1e-300)
     roots = slope.roots() if slope.degree() > 0 else np.array([])
-    inside = [r.real for r in roots if abs(r.imag) <= 1e-6 * length and 0 <= r.real <= length]
+    inside = [r.real for r in roots if abs(r.imag) <= SETTINGS.real * length and 0 <= r.real <= length]
     return max(float(square(x)) for x in (0.0, length, *inside))
 
 
@@ -273,7 +275,7 @@ def fitted(profile: Profile, limits: Limits) -> Profile:
         rate, acceleration = limits.of(angles)
         factors += [profile.largest(1, angles) / rate, math.sqrt(profile.largest(2, angles) / acceleration)]
     # Rounding of the roots must not take it past a limit.
-    return profile.stretched(max(factors) * (1 + 1e-12))
+    return profile.stretched(max(factors) * (1 + SETTINGS.room))
 
 
 def waypoint_times(positions: np.ndarray, turns: np.ndarray, limits: Limits) -> np.ndarray:

@@ -28,9 +28,17 @@ class AnalysisSettings:
     # Part of a state, beside the largest, in a mode or in what is not reached, from which it is named.
     share: float = 0.1
     at_zero: float = 1e-10  # real parts up to this do not grow, 1/s
+    slowest: float = 1e-6  # rates up to this are no decay that a time follows from, 1/s
+    usual: float = 10.0  # s, in place of the slowest time constant where nothing decays
+    infinite: float = 1e8  # size of a zero that is at infinity, rad/s
     # Gain margins beyond these are at the ends of the frequency axis, from rounding.
     factors: tuple[float, float] = (1e-6, 1e6)
     points: int = 600  # of a curve
+    least_pole: float = 1e-4  # rad/s, from which frequencies of curves lie about a pole
+    # In place of the slowest and the fastest pole where there is none, rad/s.
+    no_poles: tuple[float, float] = (0.1, 10.0)
+    locus: tuple[float, float] = (1e-4, 1e4)  # factors on gains that a root locus goes through
+    margin_tolerance: float = 1e-9  # of the logarithm of the frequency of a margin
     decades: float = 1.5  # that a frequency response goes beyond the slowest and the fastest pole
     time_constants: float = 5.0  # of the slowest mode that a step response shows
     longest: float = 600.0  # longest step response, s
@@ -179,8 +187,8 @@ def _subspace(system: ct.StateSpace, a: Array, b: Array) -> Subspace:
     mixed_states = [n for n, row in zip(names, others, strict=True) if np.linalg.norm(row) > SETTINGS.share]
     # The slowest time constant that decays, s.
     rates = [_rate(p, sampling_time(system)).real for p in np.linalg.eigvals(system.A)]
-    decaying = [-1 / r for r in rates if r < -1e-6]
-    horizon = float(max(decaying, default=10.0))
+    decaying = [-1 / r for r in rates if r < -SETTINGS.slowest]
+    horizon = float(max(decaying, default=SETTINGS.usual))
     W = sampled_gramian(np.eye(len(a)) + a * dt, b, horizon / dt) if dt else gramian(a, b, horizon)
     singular = np.linalg.svd(W, compute_uv=False)
     mixed = tuple(n for n in mixed_states if n not in missing)
@@ -250,7 +258,7 @@ def zeros_of(system: ct.StateSpace) -> list[complex]:
     """Zeros of a minimal system with one input and one output, rad/s or z, by real part."""
     if not system.nstates:
         return []
-    found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < 1e8]
+    found = [complex(z) for z in system.zeros() if isfinite(abs(z)) and abs(z) < SETTINGS.infinite]
     return sorted((_rounded_off(z, max(abs(z), 1.0)) for z in found), key=lambda z: (z.real, z.imag))
 
 
@@ -356,7 +364,7 @@ def _least_disk(loop: ct.StateSpace, disk: Callable[[float], float]) -> float:
     values = [at(w) for w in np.log(omega)]
     k = int(np.clip(np.argmin(values), 1, len(omega) - 2))
     ends = float(np.log(omega[k - 1])), float(np.log(omega[k + 1]))
-    found = minimize_scalar(at, bounds=ends, method="bounded", options={"xatol": 1e-9})
+    found = minimize_scalar(at, bounds=ends, method="bounded", options={"xatol": SETTINGS.margin_tolerance})
     return min(float(found.fun), *values, 2.0)
 
 
@@ -372,8 +380,9 @@ class Curve:
 def frequencies(systems: list[ct.StateSpace]) -> Array:
     """Frequencies around the poles of systems, rad/s, shape (n,)."""
     sizes = [abs(_rate(complex(p), sampling_time(s))) for s in systems for p in s.poles()]
-    sizes = [size for size in sizes if 1e-4 < size < inf]
-    low, high = min(sizes, default=0.1), max(sizes, default=10.0)
+    sizes = [size for size in sizes if SETTINGS.least_pole < size < inf]
+    slow, fast = SETTINGS.no_poles
+    low, high = min(sizes, default=slow), max(sizes, default=fast)
     # From half the sampling frequency on the response repeats; rounding may not go beyond it.
     half = [(1 - SETTINGS.rank) * np.pi / sampling_time(s) for s in systems if sampling_time(s)]
     end = min(half, default=high * 10**SETTINGS.decades)
@@ -393,7 +402,7 @@ def singular_values(system: ct.StateSpace, omega: Array) -> Array:
 
 def duration(systems: list[ct.StateSpace]) -> float:
     """Duration of a step response: a few of the slowest time constants, s."""
-    reals = [abs(m.rate.real) for s in systems for m in modes(s) if 1e-6 < abs(m.rate.real) < inf]
+    reals = [abs(m.rate.real) for s in systems for m in modes(s) if SETTINGS.slowest < abs(m.rate.real) < inf]
     return float(min(SETTINGS.time_constants / min(reals, default=1.0), SETTINGS.longest))
 
 
@@ -407,5 +416,5 @@ def step(name: str, system: ct.StateSpace, seconds: float) -> Curve:
 
 def locus(system: ct.StateSpace) -> NDArray[np.complex128]:
     """Poles (n, order) of a loop closed with n gains times the system."""
-    gains = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 2 * SETTINGS.points)])
+    gains = np.concatenate([[0.0], np.geomspace(*SETTINGS.locus, 2 * SETTINGS.points)])
     return np.asarray(ct.root_locus_map(system, gains=gains).loci)

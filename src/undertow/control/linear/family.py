@@ -31,6 +31,9 @@ class FamilySettings:
     # Draws that are no vehicle, for each that is wanted, with which the family is refused.
     most_refused_draws: int = 50
     difference_step: float = 1e-3  # of finite differences, standard deviations
+    # Relative difference of entries up to which a corner changes nothing, and the same in their units.
+    same: float = 1e-9
+    same_entry: float = 1e-12
     most_drawn: int = 120  # members of which pictures have curves, the stated vehicle included
 
 
@@ -175,7 +178,8 @@ def _draws(
 def _equals_stated(member: Member, stated: Member) -> bool:
     """Whether a corner changes nothing: a parameter of the other direction of motion."""
     pairs = ((member.system.A, stated.system.A), (member.system.B, stated.system.B))
-    return all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9, atol=1e-12) for a, b in pairs)
+    share, entry = SETTINGS.same, SETTINGS.same_entry
+    return all(a.shape == b.shape and np.allclose(a, b, rtol=share, atol=entry) for a, b in pairs)
 
 
 def _corners(spread: Spread, factory: _MemberFactory, stated: Member) -> Iterator[tuple[str, Array]]:

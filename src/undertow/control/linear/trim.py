@@ -77,7 +77,11 @@ class TrimSettings:
     # The same of propellers, revolutions a second: in their inflow they brake before they push.
     revolutions: tuple[float, ...] = (1.0, -1.0, 10.0, -10.0, 100.0, -100.0)
     tolerance: float = 1e-9  # rates of change below this are none, SI
+    search_rounds: int = 300  # of the search for the least price, and the change of it that ends the search
+    search_change: float = 1e-14
+    rank: float = 1e-10  # singular values of the slope below this part of the largest are none
     rounds: int = 12  # Newton's steps, and halvings of each
+    at_limit: float = 1e-9  # share of a limit by which a command may exceed it: rounding
     # Drift and tilt below this are put to zero where commands can do so: m/s, rad/s and rad.
     negligible: float = 5e-3
     # Forces of a steady motion may change by this much in a second, m/s^3: far above rounding.
@@ -206,7 +210,7 @@ def _minimised(balance: Balance, y: Array) -> Array:
         method="SLSQP",
         bounds=balance.bounds(),
         constraints={"type": "eq", "fun": balance, "jac": balance.slope},
-        options={"maxiter": 300, "ftol": 1e-14},
+        options={"maxiter": SETTINGS.search_rounds, "ftol": SETTINGS.search_change},
     )
     return _polished(balance, done.x)
 
@@ -228,7 +232,7 @@ def _linearised(balance: Balance, y: Array) -> tuple[Array, Array, Array]:
     """Inverse of the slope in unknowns divided by their scale, slope times y, and the scale."""
     scale: Array = 1 / np.sqrt(balance.weights)
     slope: Array = np.nan_to_num(balance.slope(y)) * scale
-    inverse = np.asarray(np.linalg.pinv(slope, rcond=1e-10), dtype=float)
+    inverse = np.asarray(np.linalg.pinv(slope, rcond=SETTINGS.rank), dtype=float)
     return inverse, slope @ (y / scale), scale
 
 
@@ -264,7 +268,7 @@ def _remedy(held: Collection[str]) -> str:
 def _beyond_limit(balance: Balance, y: Array) -> str:
     """Required command, if beyond its limit."""
     for i, value, (_, most) in zip(balance.unknown, y, balance.bounds(), strict=True):
-        if most is not None and abs(value) > most * (1 + 1e-9):
+        if most is not None and abs(value) > most * (1 + SETTINGS.at_limit):
             return (
                 f"this steady motion needs {balance.names[i]} = {value:.4g}, but its limit is {most:g}: use "
                 "a lower speed or a stronger thruster"
