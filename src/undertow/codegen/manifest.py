@@ -25,7 +25,19 @@ from .source import digest
 
 _log = logging.getLogger(__name__)
 SCHEMA = "undertow/codegen/2"
-_POINTS = 5
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """How functions are compared with those of another version, and dead times with whole samples."""
+
+    points: int = 5
+    least: float = 0.2  # size of a coordinate of a point, SI; the largest is 1
+    same: float = 1e-9  # difference of values, relative to the largest, that is rounding
+    whole_samples: float = 1e-9  # share by which a dead time may miss whole samples
+
+
+CHECK = CheckSettings()
 UNITS = MOTION_UNITS | {f"tau_{f}": unit for f, unit in zip(FORCE, FORCE_UNITS, strict=True)}
 """Of pose, velocity and forces by name."""
 _UNITS = UNITS | {"rho": "kg/m^3", "g": "m/s^2"}
@@ -106,7 +118,7 @@ def numbers_of(functions: Functions) -> tuple[Entry, ...]:
 def whole_samples(seconds: float, dt: float) -> int:
     """The samples nearest to a dead time, with a warning where they are not the same time."""
     count = round(seconds / dt)
-    if abs(count * dt - seconds) > 1e-9 * seconds:
+    if abs(count * dt - seconds) > CHECK.whole_samples * seconds:
         _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, count, dt)
     return count
 
@@ -134,7 +146,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
     moving = [functions.state_names, accelerations, vehicle.command_names, functions.number_names, ["t"]]
     columns = [
         evaluate(*([_coordinate(n, k, signed=i < 3) for n in names] for i, names in enumerate(moving)))
-        for k in range(_POINTS)
+        for k in range(CHECK.points)
     ]
     table = ca.horzcat(*columns).full()
     return {f"{n}_dot": tuple(map(float, row)) for n, row in zip(functions.state_names, table, strict=True)}
@@ -143,7 +155,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
 def _coordinate(name: str, point: int, *, signed: bool) -> float:
     """A number between 0.2 and 1 that belongs to a name; motions and commands go both ways."""
     share = int(digest(f"{name}/{point}")[:12], 16) / 16**12
-    return (0.2 + 0.8 * share) * (-1 if signed and point % 2 else 1)
+    return (CHECK.least + (1 - CHECK.least) * share) * (-1 if signed and point % 2 else 1)
 
 
 # --- comparing ------------------------------------------------------------------------------------
@@ -194,7 +206,7 @@ def _shown(entry: Entry) -> str:
 
 
 def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    tolerance = 1e-9 * max((abs(v) for v in (*a, *b)), default=0.0)
+    tolerance = CHECK.same * max((abs(v) for v in (*a, *b)), default=0.0)
     return len(a) == len(b) and all(isclose(v, w, abs_tol=tolerance) for v, w in zip(a, b, strict=True))
 
 

@@ -51,6 +51,7 @@ class StepSettings:
     most_parts: int = 16
     stable: float = 2.0
     most_steps: int = 20_000
+    rounding: float = 1e-6  # of a step by which an interval may be longer than a whole number of them
     longest_run: float = 5e6  # s; two months are some 10^8 steps, which take a minute
 
 
@@ -271,7 +272,7 @@ def _interruptions(problem: Problem) -> list[int]:
 def _steps(t: Array, max_step: Array) -> Integers:
     intervals = np.diff(t, axis=1)
     # An interval of exactly k steps stays k steps although its floating-point length may be a bit more.
-    return np.maximum(np.ceil(intervals / max_step - 1e-6), 1).astype(np.int64)
+    return np.maximum(np.ceil(intervals / max_step - SETTINGS.rounding), 1).astype(np.int64)
 
 
 def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -> None:

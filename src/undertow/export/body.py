@@ -100,7 +100,7 @@ class Body:
     def added_mass(self) -> Array:
         """Added mass, positive, body frame of undertow, shape (6, 6)."""
         ids = ADDED_MASS[:2]
-        either = [self._mass(ids, np.full(6, way)) for way in (0.1, -0.1)]
+        either = [self._mass(ids, np.full(6, way)) for way in (SETTINGS.slow, -SETTINGS.slow)]
         if not np.allclose(either[0], either[1]):
             self.losses.append("added mass differs forward and backward: its mean is taken")
         return np.asarray(sum(either) / 2)
@@ -119,7 +119,7 @@ class Body:
         """Inertia about the centre of gravity, body frame of undertow, shape (3, 3), kg m^2."""
         v, r = self.values, self.centre_of_gravity
         known = [v[n] for n in ("I_x", "I_y", "I_z") if n in v]
-        stands = max(known, default=0.4 * v["m"])
+        stands = max(known, default=SETTINGS.no_inertia * v["m"])
         absent = [n for n in ("I_x", "I_y", "I_z") if n not in v]
         if absent:
             self.losses.append(f"{', '.join(absent)} are not in the model: {stands:g} kg m^2 stands for them")
@@ -172,7 +172,7 @@ class Body:
         for thruster in self.vehicle.thrusters:
             force, moment = force_and_moment(thruster)
             size = float(np.linalg.norm(force))
-            if not size or abs(force @ moment) > 1e-9 * size:
+            if not size or abs(force @ moment) > SETTINGS.wrench * size:
                 self.losses.append(f"thruster {thruster.name} is left out: no single force has its wrench")
                 continue
             if thruster.law is not None:
@@ -245,10 +245,13 @@ def numbers(*values: float) -> str:
 # --- damping and lift as terms of first and second order in the velocities ----------------------
 @dataclass(frozen=True)
 class DragSettings:
-    """Numbers of the fit."""
+    """Numbers of the fit of drag, and of what a program cannot take."""
 
     rounding: float = 1e-9  # part of the largest force below which a misfit or a coefficient is rounding
     digits: int = 12  # of a coefficient
+    slow: float = 0.1  # of every velocity, either way, at which added mass is looked at, m/s and rad/s
+    no_inertia: float = 0.4  # kg m^2 per kg of mass, for moments of inertia where the model has none
+    wrench: float = 1e-9  # moment along a force, m, up to which a single force has a wrench
     points: int = 200  # velocities at which forces are compared: more than the 69 terms
     seed: int = 1  # of these velocities
 

@@ -181,6 +181,7 @@ class Trials:
     points: int = 200  # for bounds and power
     identity: int = 12  # points, for what has to be zero everywhere
     linearity: int = 40  # lines, for what has to be affine along them
+    angle: float = 1.4  # largest, rad: clear of the singularity of the Euler angles
     signals: tuple[float, float] = (-2.0, 1.0)  # decades of their magnitude
     parameters: tuple[float, float] = (-2.0, 2.0)  # the same
     rounding: float = 1e-9  # of a sum, as a share of its terms
@@ -212,8 +213,8 @@ class RandomPoints:
         unit, name = self._inputs[x], x.name
         if name in ("rho", "g"):
             return ENVIRONMENT.density if name == "rho" else ENVIRONMENT.gravity
-        if unit == "rad":  # clear of the singularity of the Euler angles
-            return self._random.uniform(-1.4, 1.4)
+        if unit == "rad":
+            return self._random.uniform(-_TRIALS.angle, _TRIALS.angle)
         return abs(self._any_size(_TRIALS.signals)) if unit == "s" else self._any_size(_TRIALS.signals)
 
     def _any_size(self, decades: tuple[float, float]) -> float:

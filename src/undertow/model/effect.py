@@ -447,9 +447,9 @@ class ActuatorSettings:
     # Part of its thrust ahead up to which a thruster is across the hull, as directions are rounded in files.
     # It chooses between two equations, and a thruster that stands a little oblique is none across the hull.
     largest_part_ahead: float = 1e-6
-    # How far an axis of a surface may miss a unit vector across the x axis, and is then a rounded one. It
-    # refuses only: an axis as people write it, of three decimals, is taken, and its length is made one.
-    axis_error: float = 1e-3
+    # How far the axis of a surface may miss a unit vector across the x axis, and the direction of a thruster
+    # a unit vector, and is then a rounded one. It refuses only: three decimals, as people write, are enough.
+    unit_error: float = 1e-3
     # Difference of a stated moment and that of the position and direction beside it, relative or in m, up to
     # which they are the same: rounding.
     same_moment: float = 1e-9

@@ -445,7 +445,7 @@ def _wrench_at(place: str, position: tuple[float, float, float], table: Thruster
     x, y, z = position
     a, b, c = _numbers(f"{place} direction", table.direction)
     length = math.hypot(a, b, c)
-    if abs(length - 1) > 1e-3:
+    if abs(length - 1) > ACTUATORS.unit_error:
         raise UndertowError(f"{place}: direction has length {length:g}; give a unit vector")
     return (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
 
@@ -482,7 +482,7 @@ def _axis(place: str, stated: Any) -> tuple[float, float, float]:
         return _AXES[stated]
     a, b, c = _numbers(f"{place} axis", stated)
     length = math.hypot(b, c)
-    if abs(a) > ACTUATORS.axis_error or abs(length - 1) > ACTUATORS.axis_error:
+    if abs(a) > ACTUATORS.unit_error or abs(length - 1) > ACTUATORS.unit_error:
         raise UndertowError(
             f"{place}: axis is {[a, b, c]}: give a unit vector across the x axis, as [0, 0, -1]"
         )

@@ -448,7 +448,7 @@ def most_likely(
     # still. So a common factor comes first, and then a descent that brackets and so never ends higher.
     factors = np.linspace(-SEARCH.decades, SEARCH.decades, SEARCH.factors)
     first = min(factors, key=lambda decades: cost(np.full(len(at), decades)))
-    options = {"xtol": SEARCH.step, "ftol": 1e-7, "maxfev": SEARCH.tries * len(at)}
+    options = {"xtol": SEARCH.step, "ftol": SEARCH.change, "maxfev": SEARCH.tries * len(at)}
     done = minimize(cost, np.full(len(at), first), method="Powell", options=options)
     found = base.copy()
     found[at] *= 10.0 ** within(np.atleast_1d(done.x))
@@ -462,6 +462,7 @@ class SearchSettings:
     decades: float = 6.0  # to either side of the first guess
     factors: int = 9  # of all densities at once, in these decades, that are tried first
     step: float = 0.05  # decades that do not matter
+    change: float = 1e-7  # of the log likelihood, relative, that does not
     tries: int = 40  # filters for each density
     rows: int = 1000  # of the log that are filtered, at most
 

@@ -226,6 +226,7 @@ class AuditSettings:
 
     random_states: int = 200
     seed: int = 20210405  # of the random states
+    named: float = 1e-3  # share of a unit motion from which a velocity is named
     rounding: float = 1e-9  # eigenvalue or power, relative to the largest, or to one, that is rounding
 
 
@@ -274,7 +275,7 @@ def _damping(plant: Plant, one: SignSet) -> Iterator[Discrepancy]:
     if values[0] < -SETTINGS.rounding * max(1.0, abs(values[-1])):
         of = f" ({one.name})" if one.name else ""
         along = ", ".join(
-            f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > 1e-3
+            f"{v} = {x:.3g}" for v, x in zip(plant.nu, vectors[:, 0], strict=True) if abs(x) > SETTINGS.named
         )
         yield Discrepancy(
             WRONG,

@@ -35,7 +35,7 @@ def transformation(rotation: ArrayLike, offset: ArrayLike) -> Array:
     (Fossen 2021, chapter 3, transformation between points).
     """
     R, place = np.asarray(rotation, dtype=float), np.asarray(offset, dtype=float)
-    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-9) or np.linalg.det(R) < 0:
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=_VALID.rounding) or np.linalg.det(R) < 0:
         raise UndertowError("rotation is not a right-handed rotation matrix: its rows must be orthonormal")
     if place.shape != (3,):
         raise UndertowError(f"offset has shape {place.shape}: give x, y and z in m")
@@ -59,6 +59,9 @@ class ValidityLimits:
     box: float = 0.02  # largest relative error of the table of boxes, its interpolation included
     # share of the way from box to ellipsoid: cylinders and torpedoes, no cone (docs/shape.md)
     between: float = 0.25
+    full: float = 0.99  # share of that way from which a hull is a box
+    rounding: float = 1e-9  # of rotations, and of the difference of two sections of a circle, relative
+    at_end: float = 1e-6  # share by which sides may exceed the table of boxes: rounding
     # relative error of an ellipsoid that was stretched because the table of boxes ends
     stretched: float = 0.4
 
@@ -158,7 +161,7 @@ def _rotation(squares: Array, first: Array, i: int) -> float:
     """Added moment of inertia about an axis over a fifth of the displaced mass."""
     j, k = (i + 1) % 3, (i + 2) % 3
     difference, total = squares[j] - squares[k], squares[j] + squares[k]
-    if abs(difference) < 1e-9 * total:
+    if abs(difference) < _VALID.rounding * total:
         return 0.0  # a circle that turns about its middle moves no fluid
     apart = first[k] - first[j]
     return float(difference**2 * apart / (2.0 * difference - total * apart))
@@ -192,7 +195,7 @@ def box(length: float, beam: float, height: float, density: float = 1000.0) -> A
     longest, middle, shortest = sides[order]
     ratios = np.array([longest / middle, middle / shortest])
     most = _table()[0][-1]
-    if (ratios > most * (1 + 1e-6)).any():
+    if (ratios > most * (1 + _VALID.at_end)).any():
         raise UndertowError(
             f"a box of {length:g} x {beam:g} x {height:g} m has sides in the ratio {ratios.max():.3g}, the "
             f"table ends at {most:.3g} between one side and the next: take an ellipsoid, or a panel method"
@@ -258,7 +261,7 @@ def _interpolated(round_: Array, full: Array | None, fill: float) -> tuple[Array
         stretched = round_ * max(1.0, fill / _FILL_OF_ELLIPSOID)
         return stretched, _VALID.stretched * stretched, "an ellipsoid, stretched to the volume,"
     share = float(np.clip((fill - _FILL_OF_ELLIPSOID) / (1 - _FILL_OF_ELLIPSOID), 0.0, 1.0))
-    if share > 0.99:
-        return full, 0.02 * full, "box"
+    if share > _VALID.full:
+        return full, _VALID.box * full, "box"
     text = f"{1 - share:.0%} ellipsoid and {share:.0%} box"
     return round_ + share * (full - round_), _VALID.between * np.abs(full - round_), text

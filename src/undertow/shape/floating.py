@@ -29,10 +29,12 @@ class FloatingRules:
     frequencies: int = 24
     longest: float = 60.0  # longest wave over the length of the hull in the water
     shortest: float = 0.4  # shortest wave over its beam; beyond it hulls radiate next to nothing
+    level: float = 1e-6  # share of the height to which the waterline is known
     thin: float = 0.01  # share of the height that has to be under water, and out of it
     cells: float = 3.0  # panels along the shortest wave, at least
     headings: int = 9  # of a regular wave, from astern to ahead on one side
     theta: int = 181  # directions of the waves that go out, for the drift
+    beyond: float = 0.1  # rad by which they reach beyond a turn
 
 
 FLOATING_RULES = FloatingRules()
@@ -100,7 +102,7 @@ def waterline(hull: Mesh, volume: float) -> tuple[Array, float]:
             f"{volume:.4g} m^3 leave less than {FLOATING_RULES.thin:.0%} of the height of the hull in or out "
             "of the water: correct the mass, the density or the unit of the mesh"
         )
-    level = float(brentq(missing, least, most, xtol=1e-6 * (high - low)))
+    level = float(brentq(missing, least, most, xtol=FLOATING_RULES.level * (high - low)))
     centre = _immersed(cpt, hull, np.array([0.0, 0.0, level])).center_of_buoyancy
     return np.array([centre[0], -centre[1], level]), float(high - level)
 
@@ -270,7 +272,7 @@ class FloatingBody:
         import xarray as xr
 
         kochin = self._cpt.post_pro.compute_kochin
-        margin = 0.1
+        margin = FLOATING_RULES.beyond
         count = FLOATING_RULES.theta
         theta = np.linspace(-np.pi - margin, 2 * np.pi + margin, count + count // 2)
         radiating = solved(self._cpt, self._radiation_problems(self._body, omega), omega, "indirect")

@@ -224,7 +224,11 @@ class MemoryRules:
 
     good: float = 0.10  # error at which one state for each motion is enough, of the kernel, root mean square
     none: float = 1e-3  # share of the largest damping (turning: at half the length) that is no memory
-    checked: int = 400  # frequencies at which the damping is looked at, a hundred times beyond both ends
+    checked: int = 400  # frequencies at which the damping is looked at
+    beyond: float = 100.0  # how many times beyond both ends
+    # Times in which memories may fade that are tried: how many, and from and to where beyond both ends.
+    times: int = 200
+    times_beyond: float = 10.0
     starts: tuple[float, ...] = (0.3, 1.0, 3.0)  # times in which memories fade, in periods of the peak
 
 
@@ -319,7 +323,8 @@ def _first_order(hull: FloatingHull, motions: Sequence[int]) -> Memory:
         shape = _shape(hull.omega, time, 0.0)
         return sum(_error(kernels[i], k * shape) ** 2 for i, k in stiffness(time).items())
 
-    times = np.geomspace(0.1 / hull.omega[-1], 10 / hull.omega[0], 200)
+    far = MEMORY.times_beyond
+    times = np.geomspace(1 / far / hull.omega[-1], far / hull.omega[0], MEMORY.times)
     best = float(min(times, key=left))
     shape, own = _shape(hull.omega, best, 0.0), stiffness(best)
     errors = {i: _error(kernels[i], k * shape) for i, k in own.items()}
@@ -350,7 +355,7 @@ def _resonance(omega: Array, kernel: Complex) -> tuple[float, float, float]:
 
 
 def _check_passive(memory: Memory, omega: Array) -> None:
-    far = np.geomspace(omega[0] / 100, omega[-1] * 100, MEMORY.checked)
+    far = np.geomspace(omega[0] / MEMORY.beyond, omega[-1] * MEMORY.beyond, MEMORY.checked)
     for i in memory.stiffness:
         least = float(memory.kernel(i, far).real.min())
         if not least >= 0:

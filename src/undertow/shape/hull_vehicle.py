@@ -39,6 +39,8 @@ class HullRules:
     strips: int = 30
     blunt: float = 0.8  # bluntness from which the drag coefficient is that of a blunt form
     rounded: float = 0.4  # the same of a rounded form; below it the form is streamlined
+    stated_drag: float = 0.3  # share by which a drag coefficient that is stated may be wrong
+    hollow: float = 1e-3  # share by which a stated volume may exceed that of the hull: rounding
     added_mass: float = 0.10  # share that potential flow and an ideal shape leave open of added mass
     radiation: float = 0.5  # share: waves at one frequency say little of linear damping at all others
     coupling: float = 0.01  # couplings below this share of the two motions they couple are left out
@@ -107,7 +109,7 @@ def drag_of_hull(mesh: Mesh, density: float = 1000.0, cd: Sequence[float] | None
 def _coefficient(bluntness: float, stated: float | None) -> tuple[float, float, str]:
     """Drag coefficient, its standard deviation as a share, and where it is from."""
     if stated is not None:
-        return stated, 0.3, "coefficient as stated"
+        return stated, _RULES.stated_drag, "coefficient as stated"
     form = (
         "blunt" if bluntness >= _RULES.blunt else "rounded" if bluntness >= _RULES.rounded else "streamlined"
     )
@@ -359,7 +361,7 @@ def _check(hull: Mesh, spec: HullSpec) -> None:
     for what, value, unit in (("mass", spec.mass, "kg"), ("density", spec.density, "kg/m^3")):
         if not (value > 0 and np.isfinite(value)):
             raise UndertowError(f"{what} = {value:g} {unit} is impossible: give a positive number")
-    if spec.volume is not None and not 0 < spec.volume <= hull.volume * 1.001:
+    if spec.volume is not None and not 0 < spec.volume <= hull.volume * (1 + _RULES.hollow):
         raise UndertowError(
             f"volume = {spec.volume:g} m^3 is impossible: the hull encloses {hull.volume:.4g} m^3, and water "
             "that gets in leaves less"

@@ -35,6 +35,9 @@ class MeshLimits:
     triangles: int = 1_000_000
     longest: float = 100.0  # m, of a hull in a file that does not say its unit
     shortest: float = 0.01  # m, the same
+    empty: float = 1e-9  # volume over the cube of the longest side, up to which a mesh encloses nothing
+    shorter: float = 0.9  # factor on the longest edge until there are as many triangles as are wanted
+    alike: int = 9  # decimals of an edge over the longest of its triangle, in which edges are equally long
     simplified: float = 0.33  # of the triangles wanted: cutting the longest edges then evens them out
 
 
@@ -161,7 +164,7 @@ def repaired(mesh: Mesh, name: str) -> tuple[Mesh, tuple[str, ...]]:
     if even[0].volume < 0:
         remarks.append("all triangles faced inward: flipped")
         even = Mesh(even[0].vertices, even[0].faces[:, ::-1]), 0
-    if not even[0].volume > 1e-9 * float(even[0].extents.max()) ** 3:
+    if not even[0].volume > _LIMITS.empty * float(even[0].extents.max()) ** 3:
         raise UndertowError(f"{name}: encloses no volume: export the hull as a solid")
     return even[0], tuple(remarks)
 
@@ -441,7 +444,7 @@ def base_mesh(mesh: Mesh, count: int) -> Mesh:
     found = _simplified(mesh, round(count * _LIMITS.simplified)) if len(mesh.faces) > count else mesh
     longest = float(mesh.extents.max())
     while len((finer := bisected(found, longest)).faces) <= count:
-        found, longest = finer, 0.9 * longest
+        found, longest = finer, _LIMITS.shorter * longest
     return found
 
 
@@ -455,7 +458,7 @@ def bisected(mesh: Mesh, longest: float) -> Mesh:
             return mesh
         # An edge is cut where it is the longest of both its triangles: no other edge has to give way.
         # Place of the longest edge of each triangle; of equally long ones, the same for both neighbours.
-        rounded = np.round(own / own.max(axis=1, keepdims=True), 9)
+        rounded = np.round(own / own.max(axis=1, keepdims=True), _LIMITS.alike)
         worst = of_face[np.arange(len(own)), np.lexsort((of_face, rounded), axis=1)[:, -1]]
         wanted, votes = np.unique(worst, return_counts=True)
         mesh = _cut(mesh, edges, of_face, wanted[(votes == 2) & (lengths[wanted] > longest)], worst)

@@ -22,6 +22,7 @@ class PanelRules:
 
     crease: float = 30.0  # degrees; edges that bend by less are taken for a coarsely drawn curve
     curved: int = 8000  # triangles from which a curve is drawn finely enough
+    flat: float = 1e-9  # bulge of an edge, as a share of the size, that is none
     missed: float = 0.05  # share of the volume that panels may miss
     finest: int = 3200  # panels of the finest of three meshes: some seconds, 0.5 GB
     fewest: int = 320  # panels of the finest mesh
@@ -64,7 +65,7 @@ def _projected(mesh: Mesh, onto: Mesh) -> Mesh:
 def _is_curved(mesh: Mesh, crease: float) -> bool:
     edges, of_face = each_edge(mesh)
     bulge = _bulge(mesh, edges, of_face, np.diff(mesh.vertices[edges], axis=1)[:, 0], _cosine(crease))
-    return bool(np.abs(bulge).max() > 1e-9 * mesh.extents.max())
+    return bool(np.abs(bulge).max() > PANEL_RULES.flat * mesh.extents.max())
 
 
 def _cosine(degrees: float) -> float:

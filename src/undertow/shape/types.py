@@ -40,6 +40,9 @@ class TypeRules:
     wing_area: float = 0.03  # of the length squared, as those of a Slocum are
     wing_span: float = 0.67
     wing: float = 0.5  # sigma of the lift of wings whose plan is not known
+    # Exponents of the profile of a hull that is as full as its mass asks for, and how many are tried.
+    profile: tuple[float, float] = (0.8, 30.0)
+    profiles: int = 200
     block: tuple[float, float] = (0.1, 0.98)  # displacement over length times beam times draught
     # The least of two hulls over their overall beam, assumed: half of the 0.093 of a very slim and wide
     # catamaran, hulls of L/b = 15 and block coefficient 0.4, half a length apart.
@@ -47,6 +50,7 @@ class TypeRules:
     # Length over beam of ships from which Clarke's regression was made, at least; others are small craft.
     slender: float = 4.0
     gyration: float = 0.25  # radius of gyration in yaw over length (Fossen 2021: 0.25 for small vessels)
+    inertia: float = 0.2  # sigma of the moment of inertia that follows
     regression: float = 0.3  # sigma of Clarke's regression for ships
     # small craft, by the model of the Otter in MSS: added mass across over mass, in yaw over inertia, and
     # time constants of sway and yaw of a craft of 2 m
@@ -258,7 +262,7 @@ def _spindle(size: MainDimensions, stations: int = 37, around: int = 32) -> Mesh
     """
     share = size.displaced / (pi / 4 * size.length * size.beam * size.height)
     places = np.cos(np.linspace(pi, 0.0, stations + 1))
-    grid = np.geomspace(0.8, 30.0, 200)
+    grid = np.geomspace(*_RULES.profile, _RULES.profiles)
     fullness = [_share_of_cylinder(places, n) for n in grid]
     if not fullness[0] <= share <= fullness[-1]:
         low, high = (size.mass / share * f for f in (fullness[0], fullness[-1]))
@@ -443,7 +447,7 @@ def _surface_craft(
     text = f"assumed: radius of gyration {_RULES.gyration:g} L (Fossen 2021)"
     body = [
         entry_line("m", size.mass, "kg", source="as stated"),
-        entry_line("I_z", inertia, "kg m^2", sigma=0.2 * inertia, assumed=True, source=text),
+        entry_line("I_z", inertia, "kg m^2", sigma=_RULES.inertia * inertia, assumed=True, source=text),
     ]
     return [
         EffectTable("rigid_body", body),

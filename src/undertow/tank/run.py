@@ -139,7 +139,7 @@ def _run_case(root: Path, tank: Tank, case: Case, grid: int, cores: int, report:
 def _reached(folder: Path, case: Case) -> bool:
     """Whether the forces are there up to the end."""
     times = _forces(folder, DOFS.index(case.motion))
-    return bool(times) and max(times) >= case.end * (1 - 1e-6)
+    return bool(times) and max(times) >= case.end * (1 - RULES.reached)
 
 
 # --- programs -------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def _forces(folder: Path, place: int) -> dict[float, float]:
     files = sorted(folder.glob(f"postProcessing/forces/*/{name}"), key=lambda p: float(p.parent.name))
     for path in files:
         begun = float(path.parent.name)
-        rows = {t: f for t, f in rows.items() if t <= begun + 1e-9}
+        rows = {t: f for t, f in rows.items() if t <= begun + RULES.same_time}
         rows.update(_force_rows(path, place % 3))
     return rows
 
@@ -301,7 +301,7 @@ def read_motion(folder: Path, place: int) -> Array:
     for line in (folder / "log.pimpleFoam").read_text(encoding="utf-8", errors="replace").splitlines():
         if match := _TIME.match(line):
             now = float(match[1])
-            rows = {t: row for t, row in rows.items() if t < now - 1e-9}
+            rows = {t: row for t, row in rows.items() if t < now - RULES.same_time}
         elif match := re.match(
             r"\s+(Centre of rotation|Orientation|Linear velocity|Angular velocity): \((.*)\)", line
         ):

@@ -65,6 +65,9 @@ class TankRules:
     # iterated. Half a percent is usual; where it was 150 %, forces jumped from step to step.
     apart: float = 0.05
     courant_limit: float = 50.0  # beyond it a run has diverged
+    samples: int = 400  # of the table of a smooth signal
+    reached: float = 1e-6  # share of a run that may lack at its end: times are rounded
+    same_time: float = 1e-9  # s between times that are the same
     outputs: int = 20  # times at which a run that is cut off can be taken up again
 
 
@@ -192,7 +195,6 @@ PROFILES = ("paper", "step", "sine", "push")
 # Times, s, and forces, N, of the mini-AUV paper as its Figure 3 shows them; it ends at 30 s.
 _PAPER = ((0.65, 0.32), (18.45, -0.48), (21.95, 0.22))
 _PAPER_END, _PAPER_PEAK = 30.0, 0.48
-_SAMPLES = 400  # of the table of a smooth signal
 
 
 def duration(profile: str, scale: float) -> float:
@@ -212,7 +214,7 @@ def signal(profile: str, prescribed: bool, end: float, scale: float) -> tuple[Ar
     `scale`: time in which the hull travels its length, s.
     """
     ramp = (RULES.ramp if prescribed else RULES.force_ramp) * scale
-    times = np.linspace(0.0, end, _SAMPLES + 1)
+    times = np.linspace(0.0, end, RULES.samples + 1)
     if profile == "push":
         # The hull is at rest again at the end either way: then drag does not pass for added mass.
         return times, np.sin(np.pi * times / end) ** 2 if prescribed else np.sin(2 * np.pi * times / end)
@@ -234,7 +236,7 @@ def _smooth(share: Array) -> Array:
 
 def _levels(levels: list[tuple[float, float]], ramp: float, end: float, smooth: bool) -> tuple[Array, Array]:
     """A signal that goes from one level to the next; forces may have corners, speeds may not."""
-    count = _SAMPLES if smooth else 2
+    count = RULES.samples if smooth else 2
     edges = [np.linspace(t, t + ramp, count) for t, _ in levels]
     times = np.unique(np.concatenate([[0.0], *edges, [end]]))
     values, before = np.zeros_like(times), 0.0
