@@ -21,6 +21,7 @@ from undertow.typing import Array
 from .associations import Clock
 from .force_rows import ForceRow, ForceRows
 from .result import ChannelNoise, DisturbanceLevel, Floors, Predictability
+from .settings import DEFAULT
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,8 @@ class FloorSettings:
     most_lags: int = 240  # test functions up to which it is estimated
     share_of_log: float = 0.25  # of the longest segment, beyond which there are too few pairs
     shortest: float = 0.2  # correlation times tried, from this many distances of test functions
-    noise_uncertainty: float = 0.1  # relative uncertainty of the variance of sensor noise
+    # Relative uncertainty of the variance of sensor noise.
+    noise_uncertainty: float = DEFAULT.noise_uncertainty
     quadrature: int = 40  # samples of a test function between two knots
     steps: int = 60  # up to as many as there are lags, evenly on a logarithmic scale
 

@@ -20,13 +20,15 @@ from undertow.identification.estimation.test_functions import Whitening, banded,
 from undertow.typing import Array
 
 from .associations import Column, Trajectory
+from .settings import DEFAULT
 
 
 @dataclass(frozen=True)
 class ForceSettings:
     """When a residual force counts as noise, and how long it is averaged to exceed it."""
 
-    noise_limit: float = 1.3  # mean square, in units of the noise, up to which there is no disturbance
+    # Mean square, in units of the noise, up to which there is no disturbance.
+    noise_limit: float = DEFAULT.equation_noise_limit
     matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
     # Power of the mean square by which a step changes the intensity, and factors that it stays within.
     matching_power: float = 1.5

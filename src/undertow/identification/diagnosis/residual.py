@@ -39,6 +39,7 @@ from .associations import (
 )
 from .force_rows import ForceRow, ForceRows
 from .result import BetweenRuns, Dependence, Remaining, Spectrum, Trend
+from .settings import DEFAULT
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class DescriptionSettings:
     phase_steps: int = 8  # frequencies tried for a common phase, per width of the line
     trend_seconds: float = 100.0  # s over which the change of a coefficient is stated
     most_alike_named: int = 2  # similar terms that are named with a term
-    noise_limit: float = 1.3  # mean square, in units of the noise, up to which a residual counts as noise
+    # Mean square, in units of the noise, up to which a residual counts as noise.
+    noise_limit: float = DEFAULT.equation_noise_limit
     noise_sigmas: float = 5.0  # its excess over one for short logs, in standard deviations of noise
 
 

@@ -22,6 +22,7 @@ from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Segment
 from .mistakes import Undo, names_with_verb, with_channels
 from .sensors import LATE_COURSE, Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
+from .sensors import SETTINGS as SENSORS
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
 """Channels that one sensor reports: a position fix, a compass or gyroscope, a Doppler log, a gyroscope."""
@@ -40,7 +41,6 @@ class ClockSettings:
     command_converged: float = 0.2  # change, in sampling steps, that ends them
     command_certain: float = 6.0  # the same as for a source
     command_steps: float = 3.0
-    cluster: int = 8  # neighbouring test functions that count as one
     # delays of commands to begin with, s
     starts: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
     # Standard errors by which a motion before its commands contradicts a choice of which source is late.
@@ -125,7 +125,7 @@ def _delays(
     # Other sensor errors are fitted at the same time: in a steady turn a late position looks like that of a
     # sensor away from the origin.
     weight = kinematics.rates(runs).weight
-    step, count, size = runs[0].step, len(sources), SETTINGS.cluster * len(kinematics.rows)
+    step, count, size = runs[0].step, len(sources), SENSORS.cluster * len(kinematics.rows)
 
     def left(shift: Array) -> Array:
         rates = kinematics.rates([_advanced(run, sources, shift) for run in runs])
@@ -438,7 +438,7 @@ def _newton_step(at: Dynamics, shift: Array, small: float, drifts: bool) -> tupl
     late = (moved - here) / small
     table = np.column_stack([at.fit.at.J, late, *([late * _place_in_run(at)] if drifts else [])])
     rows = len(at.data.rows)
-    value, error = clustered_least_squares(table, -here, SETTINGS.cluster * rows)
+    value, error = clustered_least_squares(table, -here, SENSORS.cluster * rows)
     known = at.fit.at.J.shape[1]
     unmoved = np.zeros(1 - int(drifts))
     left = float(np.sum((here + table @ value) ** 2))

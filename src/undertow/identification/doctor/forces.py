@@ -40,6 +40,7 @@ from .mistakes import (
     reading_mistakes,
     rescaled,
 )
+from .sensors import SETTINGS as SENSORS
 from .sensors import clustered_least_squares, still_good
 
 
@@ -49,7 +50,6 @@ class ForceSettings:
 
     # Of test functions, in the narrowest that the sampling allows: what is faster is noise.
     width: float = 2.0
-    cluster: int = 8  # neighbouring test functions that count as one, since they overlap
     # Commands that differ by less than this (squared, as a share) count as one: an allocation makes some
     # follow from others.
     distinct: float = 1e-4
@@ -267,7 +267,7 @@ def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
     left = float(np.sum((force - scaled @ value) ** 2))
     more = np.divide(value**2, np.diag(inverse), out=np.zeros_like(value), where=np.diag(inverse) > 0)
     spread = max(np.sqrt(left / len(force)), 1e-9 * float(np.max(np.abs(force))))
-    value, error = clustered_least_squares(scaled / spread, force / spread, FORCES.cluster, FORCES.distinct)
+    value, error = clustered_least_squares(scaled / spread, force / spread, SENSORS.cluster, FORCES.distinct)
     return value / size, error / size, more / np.maximum(left + more, 1e-300)
 
 

@@ -19,6 +19,7 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.typing import Array
 
 from .kinematics import Kinematics, jacobian
+from .sampling import SETTINGS as SAMPLING
 from .sampling import jitter_of
 
 
@@ -31,7 +32,6 @@ class QuotientSettings:
     rows: float = 0.8  # share of the rows in which it must be that close
     fewest: int = 50  # rows that show it
     most: int = 20_000  # rows examined
-    jitter: float = 0.05  # spread of the steps, as a share of the usual one, below which it does no harm
     least_mismatch: float = 2e-3  # with the pose, as a share of the motion, from which it is reported
     gross: float = 0.05  # mismatch from which a fit is refused
 
@@ -41,7 +41,7 @@ SETTINGS = QuotientSettings()
 
 def quotients_of_pose(run: Run, kinematics: Kinematics) -> tuple[str, ...]:
     """Velocities of a run that are differences of its pose over jittering time steps."""
-    if jitter_of(run.clock) < SETTINGS.jitter or len(run.t) < SETTINGS.fewest:
+    if jitter_of(run.clock) < SAMPLING.jitter or len(run.t) < SETTINGS.fewest:
         return ()
     run = run.head(SETTINGS.most)
     pose = kinematics.table(run, POSE)

@@ -21,7 +21,7 @@ from undertow.typing import Array, Flags, Index
 class SamplingSettings:
     """From where on sampling and excitation are reported."""
 
-    jitter: float = 0.05  # spread of the steps, as a share of the usual one
+    jitter: float = 0.05  # spread of the steps, as a share of the usual one, up to which it does no harm
     # rounded, whole_digit: times that are rounded are within half of their last digit of what they were; a
     # time counts as a whole number of digits if it is as near as this, of one digit.
     rounded: float = 0.6

@@ -41,7 +41,8 @@ _EQUIVALENT_EFFECTS = {
 class SensorSettings:
     """Thresholds for disagreement of pose rates and velocities, and for sensor errors."""
 
-    # Neighbouring test functions overlap, and what is left is no white noise: so many count as one.
+    # Neighbouring test functions overlap, and what is left is no white noise: so many count as one, here, of
+    # clocks and of forces.
     cluster: int = 8
     # Share of the motion below which a mismatch is left to the effects that describe real sensors.
     least_mismatch: float = 0.02

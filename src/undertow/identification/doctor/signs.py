@@ -27,6 +27,7 @@ from undertow.typing import Array, Flags
 from .dynamics import Dynamics, most_active_part, rederived
 from .forces import FORCES, StatedForces, orthogonal_to
 from .mistakes import Explanation, Mistake, Undo
+from .sensors import SETTINGS as SENSORS
 from .sensors import clustered_least_squares
 
 
@@ -95,7 +96,7 @@ class _MotionInRun:
         _, positive = nnls(np.hstack([columns, -columns[:, _implausible(free / size)]]), self.force)
         scale = max(np.sqrt(left / len(self.force)), 1e-6 * np.sqrt(whole / len(self.force)))
         gain, error = clustered_least_squares(
-            columns / scale, self.force / scale, FORCES.cluster, FORCES.distinct
+            columns / scale, self.force / scale, SENSORS.cluster, FORCES.distinct
         )
         inverse = np.linalg.pinv(columns.T @ columns, rcond=FORCES.distinct, hermitian=True)
         plain = scale * np.sqrt(np.maximum(np.diag(inverse), 1e-300))
