@@ -27,6 +27,9 @@ class ClockSettings:
 
     # Share of rows of an increasing clock that may be no later than an earlier one.
     late: float = 0.05
+    # Seconds since 1970 at which a clock without a unit may begin, from 2001 on, and counts that are beyond.
+    since: tuple[float, float] = (1e9, 1e10)
+    counts: float = 1e11
     # Rows over which changes of position are taken, as many as are needed for small noise: over twice as
     # many, the speed is then about the same.
     spans: tuple[int, ...] = (10, 20, 40, 80, 160, 320)
@@ -316,8 +319,9 @@ def _sampled(data: Mapping[str, Array], time: str, rows: int) -> Flags:
 
 def unit_by_steps(t: Array, step: float) -> str:
     """The unit in which a clock counts from 1970, or else the step from row to row is usual."""
+    low, high = SETTINGS.since
     for unit in ("ns", "us", "ms"):
-        if 1e9 < float(t[0]) * SECONDS[unit] < 1e10 and float(t[0]) > 1e11:
+        if low < float(t[0]) * SECONDS[unit] < high and float(t[0]) > SETTINGS.counts:
             return unit
     return min(_GUESSED, key=lambda unit: far_from_usual(step * SECONDS[unit]))
 

@@ -41,6 +41,7 @@ class MatlabSettings:
     run: float = 0.5
     # Numbers of days that are dates (datenum): from 1970 to 2100.
     dates: tuple[float, float] = (719_529.0, 767_011.0)
+    longest: float = 366.0  # days that a log with such numbers may last
 
 
 SETTINGS = MatlabSettings()
@@ -239,7 +240,7 @@ def _seconds(name: str, values: Array) -> Array | None:
     there = t[np.isfinite(t)] if t.ndim == 1 else t[:0]  # a sample without a time is left out later
     if len(there) < 2 or np.any(np.diff(there) < 0) or there[-1] <= there[0]:
         return None
-    if SETTINGS.dates[0] < there[0] < SETTINGS.dates[1] and there[-1] - there[0] < 366:
+    if SETTINGS.dates[0] < there[0] < SETTINGS.dates[1] and there[-1] - there[0] < SETTINGS.longest:
         return (t - there[0]) * 86400.0
     return t * SECONDS[unit_of_clock(name) or unit_by_steps(there, float(np.median(np.diff(there))))]
 

@@ -56,6 +56,7 @@ class TelemetrySettings:
 
     # Times of arrival that are believed, microseconds since 1970: from 2000 to 2100.
     arrivals: tuple[float, float] = (946684800e6, 4102444800e6)
+    together: int = 50  # messages, about, by whose median the offset of the vehicle's clock is known
     restart: float = 2.0  # s by which the vehicle's clock falls back when it boots anew
     # s by which the vehicle's time of a single message may differ from that of its arrival; the offset of the
     # two clocks is known by then, while `UnionSettings.apart` is of the offset.
@@ -266,7 +267,8 @@ def _clock(messages: Mapping[str, _Messages]) -> _Clock:
     stamps, boots = stamps[order], boots[order]
     since = stamps - boots  # when it booted
     # A clock that is set back begins anew; single messages may be late.
-    middle = np.array([np.median(part) for part in np.array_split(since, max(len(since) // 50, 1))])
+    count = max(len(since) // TELEMETRY.together, 1)
+    middle = np.array([np.median(part) for part in np.array_split(since, count)])
     starts = np.array_split(stamps, len(middle))
     fresh = np.concatenate([[True], np.abs(np.diff(middle)) > TELEMETRY.restart])
     begins = np.array([part[0] for part in starts])[fresh]
