@@ -239,7 +239,9 @@ def _show_bands(bands: Sequence[Band], count: int, horizon: float, coverage: flo
             f"  {diverged} of {of} rollouts diverged and are left out: the bands are too narrow without them",
             "yellow",
         )
-    low = [name for name, share in shares_within(bands).items() if share < 1 - 3 * (1 - coverage)]
+    low = [
+        name for name, share in shares_within(bands).items() if share < 1 - _LIMITS.outside * (1 - coverage)
+    ]
     if low:
         say(
             f"  {', '.join(low)}: the measurement leaves the {coverage:.0%} band more than three times as "
@@ -263,10 +265,14 @@ def _band_rows(bands: Sequence[Band]) -> Iterator[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class TerminalLimits:
-    """How much a terminal has room for; report.md has all months, report.json all files."""
+    """How much a terminal has room for, and what it says; report.md has all months, report.json all files."""
 
     failed_files: int = 20
     months: int = 4
+    # Times the share of samples that should be outside a band from which parameters do not explain them, and
+    # p-value below which a missing effect is mentioned.
+    outside: float = 3.0
+    chance: float = 0.01
 
 
 _LIMITS = TerminalLimits()
@@ -325,7 +331,7 @@ def _lines(of: VehicleReport) -> Iterator[str]:
     if of.whole.statement is not None:
         yield f"over all days, in proportion to time: {of.whole.statement.words}"
     yield from of.remarks
-    likely = [s for s in of.scores if s.p_value < 0.01]
+    likely = [s for s in of.scores if s.p_value < _LIMITS.chance]
     if likely:
         names = ", ".join(f"{s.effect} ({s.share:.0%} of what is left)" for s in likely)
         yield f"the model may lack {names}: run undertow diagnose on some days"
