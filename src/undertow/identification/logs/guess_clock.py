@@ -25,7 +25,7 @@ from .table import has_dates, seconds
 class ClockSettings:
     """Settings for choosing the clock column."""
 
-    # Share of rows of an increasing clock that may be no later than an earlier one.
+    # Share of rows of an increasing clock, or of stamps of messages, that may be no later than earlier ones.
     late: float = 0.05
     # Seconds since 1970 at which a clock without a unit may begin, from 2001 on, and counts that are beyond.
     since: tuple[float, float] = (1e9, 1e10)

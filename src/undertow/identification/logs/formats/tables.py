@@ -18,6 +18,7 @@ import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess import guess_table, numbers_of, whole_table
+from undertow.identification.logs.guess_clock import SETTINGS as CLOCKS
 from undertow.identification.logs.guess_clock import (
     absolute_times,
     clock_of,
@@ -44,7 +45,6 @@ ENDS = (".csv", ".csv.gz", ".parquet")
 class TableSettings:
     """Limits on the tables of a run."""
 
-    late: float = 0.05  # share of stamps that may be no later than one before
     quarter: float = 900.0  # s; clocks of two time zones differ by a multiple of it
     named: int = 3  # how many of the files left out are named
     deep: int = 4  # depth of nested folders that is searched
@@ -143,7 +143,7 @@ def _stamps(data: Mapping[str, Array]) -> tuple[Array | None, tuple[str, ...]]:
         if name not in halves and "stamp" not in Name.of(name).words:
             continue
         there = counted[np.isfinite(counted)]
-        if len(there) < 2 or np.mean(later_than_before(there)) <= 1.0 - SETTINGS.late:
+        if len(there) < 2 or np.mean(later_than_before(there)) <= 1.0 - CLOCKS.late:
             continue
         unit = "s" if name in halves else unit_of_clock(name)
         unit = unit or unit_by_steps(there, float(np.nanmedian(np.diff(there))))
