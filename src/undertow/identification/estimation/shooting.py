@@ -345,7 +345,8 @@ class Shooting:
     # --- simulation ---------------------------------------------------------------------------
     def _residual(self, reported: Array, rows: slice = slice(None)) -> Array:
         """Weighted simulation error, shape (b, k, 2n); zero where nothing was measured."""
-        error = (reported - self.windows.measured[rows]) * self._weights(rows)
+        with np.errstate(over="ignore", invalid="ignore"):  # a simulation on its way to infinity
+            error = (reported - self.windows.measured[rows]) * self._weights(rows)
         return np.where(self.used[rows], error, 0.0)
 
     def _weights(self, rows: slice) -> Array:
