@@ -28,7 +28,7 @@ SCHEMA = "undertow/codegen/2"
 
 
 @dataclass(frozen=True)
-class CheckSettings:
+class EquivalenceSettings:
     """How functions are compared with those of another version, and dead times with whole samples."""
 
     points: int = 5
@@ -37,7 +37,7 @@ class CheckSettings:
     whole_samples: float = 1e-9  # share by which a dead time may miss whole samples
 
 
-CHECK = CheckSettings()
+EQUIVALENCE = EquivalenceSettings()
 UNITS = MOTION_UNITS | {f"tau_{f}": unit for f, unit in zip(FORCE, FORCE_UNITS, strict=True)}
 """Of pose, velocity and forces by name."""
 _UNITS = UNITS | {"rho": "kg/m^3", "g": "m/s^2"}
@@ -118,7 +118,7 @@ def numbers_of(functions: Functions) -> tuple[Entry, ...]:
 def whole_samples(seconds: float, dt: float) -> int:
     """The samples nearest to a dead time, with a warning where they are not the same time."""
     count = round(seconds / dt)
-    if abs(count * dt - seconds) > CHECK.whole_samples * seconds:
+    if abs(count * dt - seconds) > EQUIVALENCE.whole_samples * seconds:
         _log.warning("a dead time of %g s is taken as %d samples of %g s", seconds, count, dt)
     return count
 
@@ -146,7 +146,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
     moving = [functions.state_names, accelerations, vehicle.command_names, functions.number_names, ["t"]]
     columns = [
         evaluate(*([_coordinate(n, k, signed=i < 3) for n in names] for i, names in enumerate(moving)))
-        for k in range(CHECK.points)
+        for k in range(EQUIVALENCE.points)
     ]
     table = ca.horzcat(*columns).full()
     return {f"{n}_dot": tuple(map(float, row)) for n, row in zip(functions.state_names, table, strict=True)}
@@ -155,7 +155,7 @@ def _rows(functions: Functions) -> dict[str, tuple[float, ...]]:
 def _coordinate(name: str, point: int, *, signed: bool) -> float:
     """A number between 0.2 and 1 that belongs to a name; motions and commands go both ways."""
     share = int(digest(f"{name}/{point}")[:12], 16) / 16**12
-    return (CHECK.least + (1 - CHECK.least) * share) * (-1 if signed and point % 2 else 1)
+    return (EQUIVALENCE.least + (1 - EQUIVALENCE.least) * share) * (-1 if signed and point % 2 else 1)
 
 
 # --- comparing ------------------------------------------------------------------------------------
@@ -206,7 +206,7 @@ def _shown(entry: Entry) -> str:
 
 
 def _same(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    tolerance = CHECK.same * max((abs(v) for v in (*a, *b)), default=0.0)
+    tolerance = EQUIVALENCE.same * max((abs(v) for v in (*a, *b)), default=0.0)
     return len(a) == len(b) and all(isclose(v, w, abs_tol=tolerance) for v, w in zip(a, b, strict=True))
 
 

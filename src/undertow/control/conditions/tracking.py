@@ -277,7 +277,8 @@ class DecreaseCondition:
         """The iota with which the margin at some attitudes is largest, on a grid and on a finer one."""
         stack = self.attitudes.numbers(self._sampled_angles())
         place, case = (m.ravel() for m in np.indices((len(stack), len(self.nu))))
-        low, high = np.clip(span, *TRACKING.iota_range)
+        least, most = TRACKING.iota_range
+        low, high = max(span[0], least), min(span[1], most)
         for _ in range(2):  # the margin is concave in iota
             iotas = np.geomspace(low, high, TRACKING.iotas + 2)
             k = 1 + int(np.argmax([self.margin(i, stack, place, case).min() for i in iotas[1:-1]]))

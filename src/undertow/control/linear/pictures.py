@@ -30,7 +30,7 @@ from .report import Analysis, Channel
 
 
 @dataclass(frozen=True)
-class PictureSettings:
+class LinearPictureSettings:
     """How poles and curves are drawn."""
 
     # Ratio of the largest to the smallest pole from which axes are logarithmic.
@@ -42,7 +42,7 @@ class PictureSettings:
     same_disk: float = 0.012
 
 
-SETTINGS = PictureSettings()
+SETTINGS = LinearPictureSettings()
 # Line styles of the first, second and further one of curves that look like one.
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 4)), (0, (2, 6)))
 

@@ -17,6 +17,7 @@ from undertow.identification.estimation.inputs import ActuatorStates
 from undertow.identification.estimation.pointwise import Pointwise
 from undertow.identification.estimation.residual import Linearised, SensorDelay, whitened
 from undertow.identification.estimation.test_functions import Whitening, banded, overlap
+from undertow.identification.estimation.weak_form import matching_factor
 from undertow.typing import Array
 
 from .associations import Column, Trajectory
@@ -30,9 +31,6 @@ class ForceSettings:
     # Mean square, in units of the noise, up to which there is no disturbance.
     noise_limit: float = DEFAULT.equation_noise_limit
     matching_steps: int = 12  # steps in which the intensity of a disturbance is matched; converged
-    # Power of the mean square by which a step changes the intensity, and factors that it stays within.
-    matching_power: float = 1.5
-    matching_factors: tuple[float, float] = (0.02, 50.0)
     widths: tuple[int, ...] = (1, 2, 4, 8, 16)  # numbers of test functions to average over, tried in turn
     detectable_ratio: float = 1.5  # mean square over that of noise from which the force is detectable
 
@@ -121,7 +119,7 @@ class ForceRow:
         level = self.rms**2 * self.weight
         for _ in range(SETTINGS.matching_steps):
             square = float(np.mean(self.whitened(level).r ** 2))
-            level *= float(np.clip(square**SETTINGS.matching_power, *SETTINGS.matching_factors))
+            level *= float(matching_factor(square))
         return level
 
 

@@ -89,9 +89,13 @@ def matched_disturbance(fit: WeakFit, sensor_noise: list[Whitening]) -> Array:
     level = np.maximum(fit.disturbance, 1e-12 * np.max(fit.disturbance, initial=1e-30))
     for _ in range(SETTINGS.matching_steps):
         square = mean_square(whitened(parts, with_process_noise(sensor_noise, level, data)).r, data)
-        factor = np.nan_to_num(square, nan=1.0) ** SETTINGS.matching_power
-        level = level * np.clip(factor, *SETTINGS.matching_limits)
+        level = level * matching_factor(np.nan_to_num(square, nan=1.0))
     return np.asarray(level)
+
+
+def matching_factor(square: Array | float) -> Array:
+    """Factor on the intensity of a disturbance with which a whitened residual has this mean square."""
+    return np.asarray(np.clip(square**SETTINGS.matching_power, *SETTINGS.matching_limits))
 
 
 def fits_noise(at: Linearised, data: WeakData) -> bool:
