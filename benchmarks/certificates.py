@@ -491,13 +491,13 @@ come to rest. What seems broken is attacked anew with a law that is not sampled,
 
 With the parameters of the file:
 
-| degrees of freedom | called stable | certified | share (95 % interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
+| degrees of freedom | called stable | certified | share (95% interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
 |---|---|---|---|---|---|---|---|
 {table}
 
 With every value of the parameters within {spread:.0%}:
 
-| degrees of freedom | called stable | certified | share (95 % interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
+| degrees of freedom | called stable | certified | share (95% interval) | broken by attacks | closest to a bound | processor seconds, median | longest |
 |---|---|---|---|---|---|---|---|
 {over}
 

@@ -69,7 +69,7 @@ def _nis(axis: Any, found: Observed) -> None:
     square = (found.filtered.innovation**2 / found.filtered.variance)[used]
     t = np.broadcast_to(found.filtered.t[:, None], used.shape)[used]
     low, high = chi2.ppf([0.025, 0.975], _WINDOW) / _WINDOW
-    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0, label="95 %")
+    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0, label="95%")
     axis.axhline(1.0, color=FAINT, lw=0.6)
     mean = np.convolve(square, np.full(_WINDOW, 1 / _WINDOW), "valid")
     axis.plot(t[_WINDOW - 1 :], mean, color=INK, lw=0.8)

@@ -15,7 +15,7 @@ def progress_line(part: str) -> Progress:
     last = [""]
 
     def tell(done: float, words: str) -> None:
-        line = f"{part} {100 * done:3.0f} %  {words}"
+        line = f"{part} {100 * done:3.0f}%  {words}"
         if sys.stderr.isatty():
             print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
         elif words.partition(":")[0] != last[0]:

@@ -73,7 +73,7 @@ def test_a_vehicle_shows_its_parameters_in_a_notebook(vehicle: ut.Vehicle) -> No
     assert repr(vehicle).startswith(
         "Vehicle mini-auv: surge, sway, heave, yaw; thrusters f1, f2, f3, f4; effects rigid_body, "
     )
-    row = ["X_u", "-0.6445", "kg/s", "0.0967", "yes", "guess, good to 15 %"]
+    row = ["X_u", "-0.6445", "kg/s", "0.0967", "yes", "guess, good to 15%"]
     assert "".join(f"<td>{cell}</td>" for cell in row) in vehicle._repr_html_()
 
 

@@ -270,7 +270,7 @@ def test_an_answer_is_put_into_a_cell() -> None:
         "steps": [{"ahead": {"2 s": 0.5, "8 s": 0.9, "free run": 2.0}}, {"ahead": {"2 s": 0.25, "8 s": 0.3}}],
     }
     assert tables.found(answer) == "attitude_bias (or trim_offset), lift, waves (helps)"
-    assert tables.falls(answer) == "8 s ahead from 90 % to 30 %"
+    assert tables.falls(answer) == "8 s ahead from 90% to 30%"
 
 
 # --- the data, where they are -----------------------------------------------------------------

@@ -68,7 +68,7 @@ def test_one_draw_of_everything_beside_profile_p_makes_its_sections(
     off = {h.method: h.rmse[0] for h in hard}
     assert off["output error, Huber"] < off["output error"]
     text = "\n".join(Beyond(1, found, hard).parts())
-    assert "| 5 % | instrumental variables |" in text
+    assert "| 5% | instrumental variables |" in text
     assert f"| 0.2 m/s | output error, {variables.KNOWN} |" in text
     assert f"| {OUTLIERS} | prediction error |" in text
     draw_biases(found, tmp_path / "biases.png")
@@ -87,7 +87,7 @@ def test_the_box_hull_by_all_methods() -> None:
 
 def test_the_page_in_docs_is_of_this_program() -> None:
     text = (ROOT / "docs" / "identification.md").read_text(encoding="utf-8")
-    for noise in ("0.5 %", "2 %", "5 %", "10 %"):
+    for noise in ("0.5%", "2%", "5%", "10%"):
         assert f"| {noise} | output error |" in text
     for method in (*variables.METHODS, *ESTIMATORS):
         assert f"| {method} |" in text

@@ -287,9 +287,9 @@ def test_goals_and_page_count_what_was_stored(tmp_path: Path) -> None:
     stored.write_text("".join(json.dumps(r) + "\n" for r in [*records, lost]))
     assert main(["page", str(stored), "--out", str(out)]) == 0
     text = out.read_text()
-    assert "1 of 1: 100 %" in text
+    assert "1 of 1: 100%" in text
     assert "took more than 9 s" in text
-    assert "gradient boosting leaves 5 %" in text
+    assert "gradient boosting leaves 5%" in text
     assert page(records).count("It is so.") == 1
 
 
@@ -306,17 +306,17 @@ def test_the_page_says_how_much_of_the_plan_was_run() -> None:
 def test_what_could_not_be_said_has_the_reason_and_what_would_tell() -> None:
     said = record("baseline", Answer("helps_prediction", [], [], ["slosh"])) | {
         "vehicle": "box-step",
-        "headline": "Adding slosh lowers the 1.9-s error from 5.3 to 2 %. Take it to predict.",
+        "headline": "Adding slosh lowers the 1.9-s error from 5.3 to 2%. Take it to predict.",
         "helps": ["slosh"],
         "not_named": {"drag_asymmetry": "raises the error", "slosh": "its size would have to change"},
         "remaining": ["surge: 0.74 N rms is left"],
-        "predictable": "the model leaves 14 %",
+        "predictable": "the model leaves 14%",
         "tell": ["Random steps of surge"],
     }
     lost = {"id": "x", "kind": "baseline", "vehicle": "sf30k-4", "failure": "took more than 9 s"}
     text = unsaid_page([said, lost])
     assert "1 sets of logs: 1 helps_prediction." in text
-    assert "**helps_prediction**: Adding slosh lowers the 1.9-s error from 5.3 to 2 %.\n" in text
+    assert "**helps_prediction**: Adding slosh lowers the 1.9-s error from 5.3 to 2%.\n" in text
     assert "Take it to predict" not in text
     assert text.index("`slosh`: its size would have to change.") < text.index("`drag_asymmetry`: raises")
     assert "What remains: surge: 0.74 N rms is left." in text

@@ -76,7 +76,7 @@ def test_the_rows_of_the_page_are_judged_by_their_verdicts(page: str) -> None:
 
 
 def before_and_after(cell: str) -> list[tuple[float, ...]]:
-    """Pairs of per cents in "29 % / 30 % → 6 % / 5 %", also with the second half in brackets."""
+    """Pairs of per cents in "29% / 30% → 6% / 5%", also with the second half in brackets."""
     halves = [
         [float(x.strip(" ()%")) for x in half.split("/")] for half in cell.replace("(→", "→").split("→")
     ]
@@ -110,7 +110,7 @@ def test_what_counts_as_right(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_numbers_and_tables() -> None:
     assert [number(v) for v in (1.0, 0.01234, 123.4, 1e-6, None)] == ["1", "0.0123", "123", "0.000001", "–"]
-    assert [percent(v) for v in (0.0123, 0.456, None)] == ["1.2 %", "46 %", "–"]
+    assert [percent(v) for v in (0.0123, 0.456, None)] == ["1.2%", "46%", "–"]
     assert table(("a", "b"), [("x|y", "1")]) == "| a | b |\n| --- | ---: |\n| x\\|y | 1 |\n"
 
 

@@ -255,7 +255,7 @@ def test_wilson_interval(k: int, n: int, low: float, high: float) -> None:
 
 def test_a_share_of_nothing_says_so() -> None:
     assert str(Share(0, 0)) == "no cases"
-    assert str(Share(9, 10)) == "9 of 10: 90 % (59.6 to 98.2)"
+    assert str(Share(9, 10)) == "9 of 10: 90% (59.6 to 98.2)"
 
 
 def record(case: str, verdict: str, *named: str, truth: tuple[str, ...] = (), **more: Any) -> dict[str, Any]:
@@ -306,7 +306,7 @@ def test_goals_of_records_made_by_hand() -> None:
     assert found["strong: truth ranked first"].met is True
     assert found["weak: truth in the reported set"].met is False
     assert found["medium: truth ranked first"].met is None
-    assert found["complete models: false alarms"].measured == "1 of 2: 50 % (9.45 to 90.5)"
+    assert found["complete models: false alarms"].measured == "1 of 2: 50% (9.45 to 90.5)"
     assert found["– 2 x noise"].met is False
     assert found["– as drawn"].met is True
     assert found["outside the catalogue: unexplained"].met is True
@@ -330,7 +330,7 @@ def test_the_page_tells_all(tmp_path: Path) -> None:
     assert f"`{LOST}`" in text
     assert "ValueError: no" in text
     few = "no failure (29 cases are needed to show it)"
-    assert f"strong: truth ranked first | 1 of 1: 100 % (20.7 to 100) | 100 % | {few}" in text
+    assert f"strong: truth ranked first | 1 of 1: 100% (20.7 to 100) | 100% | {few}" in text
 
 
 @pytest.mark.parametrize(

@@ -65,8 +65,8 @@ def _facts(m: Material) -> dict[str, str]:
     by_words = {r.words: r.results for r in m.readings}
     better = by_words["K_P of the PID heading 0.1 instead of the printed 0.01"][1].of("psi").settling
     wound = Read.overshoot(by_words["integrals begin at t = 0"][1])
-    facts = {f"{_NAMES[r.controller].lower()}_overshoot": f"{Read.overshoot(r):.2g} %" for r in results}
-    facts["pid_overshoot"] = f"{Read.overshoot(results[1]):.0f} %"
+    facts = {f"{_NAMES[r.controller].lower()}_overshoot": f"{Read.overshoot(r):.2g}%" for r in results}
+    facts["pid_overshoot"] = f"{Read.overshoot(results[1]):.0f}%"
     facts |= {f"psi_{_NAMES[r.controller].lower()}": _seconds(r.of("psi").settling) for r in results}
     facts["psi_pid"] = f"{m.long.result.of('psi').settling:.0f} s"
     amplitude, period = predicted_cycle()
@@ -79,8 +79,8 @@ def _facts(m: Material) -> dict[str, str]:
         "psi_better": f"{better:.2f} s",
         "wide": f"{1000 * abs(by_words['gate of 5°'][0].of('cross track').final_error):.0f} mm",
         "narrow": f"{1000 * abs(results[0].of('cross track').final_error):.0f} mm",
-        "wound": f"{wound:.0f} %",
-        "pid_along": f"{results[1].of('along track').overshoot:.0f} %",
+        "wound": f"{wound:.0f}%",
+        "pid_along": f"{results[1].of('along track').overshoot:.0f}%",
         "chatter": f"{sum(c.variation for c in results[2].commands) / 1000:.0f} kN",
         "left": f"{1000 * results[2].of('z').sampling_offset:.1f} mm",
     }
@@ -104,7 +104,7 @@ def _rows(result: LoopResult) -> Iterator[Sequence[str]]:
     for i, c in enumerate(c for c in result.coordinates if c.move):
         before, after = first if i == 0 else (("", ""), ("", ""))
         error = f"{c.final_error:+.2e} {c.unit}"
-        yield (*before, c.name, _seconds(c.settling), f"{c.overshoot:.2f} %", error, *after)
+        yield (*before, c.name, _seconds(c.settling), f"{c.overshoot:.2f}%", error, *after)
 
 
 def _gate(result: LoopResult) -> str:
@@ -115,8 +115,8 @@ def _readings(readings: Sequence[Read]) -> str:
     head = ("interpretation", *(f"{n}: overshoot, t2%" for n in _NAMES.values()), "as the paper says")
     rows = []
     for r in readings:
-        cells = [f"{Read.overshoot(x):.2g} %, {_seconds(Read.settling(x))}" for x in r.results]
-        cells[1] = f"{Read.overshoot(r.results[1]):.0f} %, {_seconds(Read.settling(r.results[1]))}"
+        cells = [f"{Read.overshoot(x):.2g}%, {_seconds(Read.settling(x))}" for x in r.results]
+        cells[1] = f"{Read.overshoot(r.results[1]):.0f}%, {_seconds(Read.settling(r.results[1]))}"
         rows.append((r.words, *cells, "yes" if r.as_the_paper_says else "no"))
     return table(head, rows)
 
@@ -148,7 +148,7 @@ def _six(six: Sequence[tuple[str, Sequence[Record]]]) -> str:
     for words, records in six:
         for i, record in enumerate(records):
             r, (roll, pitch) = record.result, tilt(record)
-            stuck = "gate never opens" if r.gate_passed is None else f"{Read.overshoot(r):.3g} %"
+            stuck = "gate never opens" if r.gate_passed is None else f"{Read.overshoot(r):.3g}%"
             law = _NAMES[r.controller]
             times = (_seconds(Read.settling(r)), _seconds(r.of("z").settling))
             rows.append((words if i == 0 else "", law, *times, stuck, _degrees(roll), _degrees(pitch)))

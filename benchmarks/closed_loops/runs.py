@@ -131,7 +131,7 @@ class Read:
 
     @property
     def as_the_paper_says(self) -> bool:
-        """Whether PD and SM swing past the goal by more than 2 %, and PID does not."""
+        """Whether PD and SM swing past the goal by more than 2%, and PID does not."""
         pd, pid, sm = (self.overshoot(r) > 2 for r in self.results)
         return pd and sm and not pid
 

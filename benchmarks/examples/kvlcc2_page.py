@@ -50,8 +50,8 @@ def first(rows: Sequence[Reported]) -> str:
     return (
         "Give this ship roll damping that grows with the rate (`quadratic_damping`) and the righting moment "
         "of vertical sides (`nonlinear_restoring`): a free run of 66 s then explains at least "
-        f"{number(after)} % of the roll angle of a test that it was not fitted to, and with linear damping "
-        f"alone {number(before)} %."
+        f"{number(after)}% of the roll angle of a test that it was not fitted to, and with linear damping "
+        f"alone {number(before)}%."
     )
 
 
@@ -64,7 +64,7 @@ def _model(r: Reported) -> list[str]:
     return [
         r["way"],
         r["model"],
-        f"{number(r['fit'])} %",
+        f"{number(r['fit'])}%",
         percent(r["ahead"]),
         *(_value(r, p) for p in _SHOWN),
     ]

@@ -155,8 +155,8 @@ def ranking(d: Reported) -> str:
             r["effect"],
             _values(r["parameters"]),
             _standing(r, d),
-            f"{-100 * r['falls'][longest]:+.0f} %" if r["falls"] else MISSING,
-            f"{100 * r['explained']:.0f} %",
+            f"{-100 * r['falls'][longest]:+.0f}%" if r["falls"] else MISSING,
+            f"{100 * r['explained']:.0f}%",
         ]
         for r in shown
     ]

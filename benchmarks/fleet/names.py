@@ -38,20 +38,20 @@ class Drift(NamedTuple):
 
 DRIFTS = (
     Drift("nothing", {}, ()),
-    Drift("all drag +20 %", fouling(0.2), ("fouling", "drag")),
-    Drift("all drag +50 %", fouling(0.5), ("fouling", "drag")),
-    Drift("port thruster -10 %", {"gain_error_port": -0.1}, ("thruster wear",)),
-    Drift("all thrusters -15 %", {f"gain_error_{n}": -0.15 for n in THRUSTERS}, ("thruster wear",)),
+    Drift("all drag +20%", fouling(0.2), ("fouling", "drag")),
+    Drift("all drag +50%", fouling(0.5), ("fouling", "drag")),
+    Drift("port thruster -10%", {"gain_error_port": -0.1}, ("thruster wear",)),
+    Drift("all thrusters -15%", {f"gain_error_{n}": -0.15 for n in THRUSTERS}, ("thruster wear",)),
     Drift(
-        "all drag +30 %, bow thruster -20 %",
+        "all drag +30%, bow thruster -20%",
         fouling(0.3) | {"gain_error_bow": -0.2},
         ("fouling", "drag", "thruster wear"),
     ),
     Drift("3 kg of water in the hull of 20 kg", {"m_w": 3.0}, ("added mass", "entrained_water")),
-    Drift("velocity sensor +8 %", {"scale_velocity": 0.08}, ("sensor_scale",)),
-    Drift("drag in yaw +40 %", {"N_r": 0.4}, ("drag",)),
-    Drift("quadratic drag in surge +40 %", {"X_uabsu": 0.4}, ("drag",)),
-    Drift("added mass in sway +20 %", {"Y_vdot": 0.2}, ("added mass",)),
+    Drift("velocity sensor +8%", {"scale_velocity": 0.08}, ("sensor_scale",)),
+    Drift("drag in yaw +40%", {"N_r": 0.4}, ("drag",)),
+    Drift("quadratic drag in surge +40%", {"X_uabsu": 0.4}, ("drag",)),
+    Drift("added mass in sway +20%", {"Y_vdot": 0.2}, ("added mass",)),
 )
 
 

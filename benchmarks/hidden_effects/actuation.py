@@ -69,7 +69,7 @@ def thruster_asymmetry(world: World, draw: Draw) -> Values:
 
 @hidden("supply_droop")
 def supply_droop(world: World, draw: Draw) -> Values:
-    """f = (1 - d t) c: all thrusters fade, by 5 to 50 % in 100 s, each run starting fresh."""
+    """f = (1 - d t) c: all thrusters fade, by 5 to 50% in 100 s, each run starting fresh."""
     rate = draw.size(0.05, 0.5, 0.8) / 100.0
     world.stages.append(lambda f, t: f * (1.0 - rate * t))
     return {"rate": rate}

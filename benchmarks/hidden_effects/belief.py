@@ -24,7 +24,7 @@ def hydrodynamic_values(world: World) -> dict[str, dict[str, float]]:
 
 
 def prior_vehicle(world: World, rng: np.random.Generator) -> Table:
-    """The prior model: rigid body, restoring and allocation exact, added mass and damping good to 15 %.
+    """The prior model: rigid body, restoring and allocation exact, added mass and damping good to 15%.
 
     What is in `world.left_out` is absent; guesses in `world.misjudged` are wrong by that factor.
     """
@@ -44,10 +44,10 @@ def _guess(name: str, true: float, world: World, rng: np.random.Generator) -> Ta
 
 
 def estimated(value: float) -> Table:
-    """An entry that is to be refitted from a guess good to 15 %."""
+    """An entry that is to be refitted from a guess good to 15%."""
     value = float(f"{value:.4g}")
     sigma = float(f"{GUESS_SPREAD * abs(value):.3g}")
-    return {"value": value, "estimate": True, "sigma": sigma, "source": "guess, good to 15 %"}
+    return {"value": value, "estimate": True, "sigma": sigma, "source": "guess, good to 15%"}
 
 
 def _without(effects: dict[str, Table], left_out: set[str]) -> dict[str, Table]:

@@ -18,7 +18,7 @@ NOMINAL: dict[str, Vehicle] = {v.name: v for v in DRAWINGS}
 
 
 def real_vehicle(name: str, rng: np.random.Generator) -> Vehicle:
-    """The vehicle as built: each nominal hydrodynamic value times 1 +- 20 %, the rest as on the drawing."""
+    """The vehicle as built: each nominal hydrodynamic value times 1 +- 20%, the rest as on the drawing."""
     nominal = NOMINAL[name]
     low, high = 1 - TRUTH_SPREAD, 1 + TRUTH_SPREAD
     added, linear, quadratic = (v * rng.uniform(low, high, 6) for v in

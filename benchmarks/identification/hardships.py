@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 SAMPLES, NOISE, FORCE = 600, 0.005, 2.0
 NOTHING, OUTLIERS, WHITE, WALK = (
     "noise only",
-    "outliers of 20 standard deviations in 1 %",
+    "outliers of 20 standard deviations in 1%",
     "a white force of 0.3 N",
     "a force that wanders by 0.08 N in 10 s",
 )

@@ -37,7 +37,7 @@ sample at each of its three jumps. Root mean square error in % of the truth:
 _WHY = """\
 Why the paper's method is biased: it filters the motion but not the force, so acceleration and force no longer
 belong to the same instant where the force jumps; and noise in the regressors biases estimates towards zero.
-Without any noise its cases give m_x 1 to 8 % too large (case 2 to case 8). Its own standard errors take
+Without any noise its cases give m_x 1 to 8% too large (case 2 to case 8). Its own standard errors take
 smoothed samples as independent and include neither error. At realistic noise, this experiment does not
 determine X_u, whatever the estimator; output error reports that.
 """
@@ -78,8 +78,8 @@ _CURRENT = """\
 Integrals over test functions remove most of the bias of least squares. The rest shows where the noise is
 large compared with the motion, and is removed by instrumental variables (regressors and weights from the
 simulated motion) or output error. None of them helps against water that moves at 0.1 or 0.2 m/s while the
-model takes the velocity over ground as that through the water (2 % noise): that needs the effect
-`ocean_current` in the model. (A bias of -100 % of X_u is its bound.)
+model takes the velocity over ground as that through the water (2% noise): that needs the effect
+`ocean_current` in the model. (A bias of -100% of X_u is its bound.)
 """
 _HARDSHIPS = """\
 ## Outliers, and forces that nobody logs
@@ -118,7 +118,7 @@ class Beyond:
         heads = ("estimator", *(f"{n} [%]" for n in PARAMETERS))
         calm = [b for b in self.variables if not b.current]
         yield _VARIABLES.format(draws=self.draws)
-        yield table(("noise", *heads), _biases(calm, lambda b: f"{100 * b.noise:g} %"), left=2)
+        yield table(("noise", *heads), _biases(calm, lambda b: f"{100 * b.noise:g}%"), left=2)
         yield f"![Bias of mass and quadratic drag against noise and current](images/{BIASES})\n"
         yield _CURRENT
         streaming = [b for b in self.variables if b.current and b.method != SQUARES]
@@ -165,7 +165,7 @@ def page(
     parts = [
         _INTRODUCTION.format(draws=draws),
         table(("noise", "estimator", *(f"{n} [%]" for n in PARAMETERS)), _errors(levels), left=2),
-        "![Mass and quadratic drag at 2 % noise: bias and spread](images/identification-spread.png)\n",
+        "![Mass and quadratic drag at 2% noise: bias and spread](images/identification-spread.png)\n",
         "### Goals\n",
         table(("goal", "noise", *PARAMETERS, ""), _goals(levels), left=2),
         _WHY,
@@ -182,12 +182,12 @@ def page(
 
 def _errors(levels: Sequence[Level]) -> Iterator[list[str]]:
     for level in levels:
-        noise = f"{100 * level.noise:g} %"
+        noise = f"{100 * level.noise:g}%"
         yield [noise, "best of the 11 cases, for each parameter", *_cells(level.best_case())]
         yield [noise, "case 11, the paper's choice", *_cells(level.rmse("case 11"))]
         for method in (RULE, WEAK, OUTPUT):
             silent = level.silent(method)
-            words = f"{method}, where it gave one ({100 * silent:.0f} % without)" if silent else method
+            words = f"{method}, where it gave one ({100 * silent:.0f}% without)" if silent else method
             yield [noise, words, *_cells(level.rmse(method))]
         yield [noise, "Cramér-Rao bound", *_cells(100 * level.bound / EXACT)]
 
@@ -198,7 +198,7 @@ def _cells(values: np.ndarray) -> list[str]:
 
 def _goals(levels: Sequence[Level]) -> Iterator[list[str]]:
     for level in levels:
-        noise = f"{100 * level.noise:g} %"
+        noise = f"{100 * level.noise:g}%"
         ratio = level.rmse(OUTPUT) / (100 * level.bound / EXACT)
         yield _goal("output error ≤ 1.10 × bound", noise, ratio, bool(np.all(ratio <= 1.10)))
         bias = np.abs(level.bias(OUTPUT))
@@ -214,7 +214,7 @@ def _goal(name: str, noise: str, values: np.ndarray, met: bool) -> list[str]:
 
 def _known(levels: Sequence[Level]) -> Iterator[list[str]]:
     for level in levels:
-        yield [f"{100 * level.noise:g} %", *(f"{100 * share:.0f} %" for share in level.known.values())]
+        yield [f"{100 * level.noise:g}%", *(f"{100 * share:.0f}%" for share in level.known.values())]
 
 
 def _box(cfd: Sequence[Estimate]) -> Iterator[list[str]]:

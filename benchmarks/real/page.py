@@ -26,7 +26,7 @@ from .tally import (
     share_of,
 )
 
-_GOALS = ("", "measured (95 % interval)", "goal", "")
+_GOALS = ("", "measured (95% interval)", "goal", "")
 _CASE = ("case", "right answers", "size", "error before → with the truth", "rank", "verdict", "named", "s")
 
 
@@ -296,14 +296,14 @@ diverged, or that there is no such model. Before: answers of the previous versio
 """
 REMOVAL = f"""\
 The error of the refitted model before and after the true effect is added by `undertow add`. With * it counts:
-the error of the longest simulation falls by {100 * WORTH:g} % or more. If another effect has the same
+the error of the longest simulation falls by {100 * WORTH:g}% or more. If another effect has the same
 equation for this vehicle, both names are right.
 """
 INJECTION = f"""\
 Each effect is injected at three sizes, into every log whose channels can show it. A current is equivalent to
 moving ground: nothing in the water changes, so it is exact. So are the others, except where values come from
 noisy channels (a lever arm with the logged yaw rate). The table counts cases (in brackets those that count:
-adding the right effect lowers the error of the longest simulation by {100 * WORTH:g} % or more); of those
+adding the right effect lowers the error of the longest simulation by {100 * WORTH:g}% or more); of those
 that count, how often the effect is ranked first, and named alone or in a set of two; of all, how often a
 wrong cause, or also an effect not named for the original log, is named (of the SUB-fighter 30k the place of
 its Doppler log is documented, and counts as neither).

@@ -106,7 +106,7 @@ WORDS = """\
 ## Simulated logs with one hidden effect
 
 Thirteen cases of an independent simulator: 3 × 100 s to identify, 100 s to validate. The vehicle files have
-exact rigid body and allocation, and guesses of added mass and damping good to 15 %. `null`: nothing is
+exact rigid body and allocation, and guesses of added mass and damping good to 15%. `null`: nothing is
 hidden, and `adequate` is right. An effect outside the catalogue should end in `unexplained`;
 `helps_prediction` names no cause, but counts as wrong here.
 

@@ -35,7 +35,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def percent(value: float | None) -> str:
     """A share in %, with two significant digits below ten."""
-    return MISSING if value is None else f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
+    return MISSING if value is None else f"{100 * value:.2g}%" if value < 0.1 else f"{100 * value:.0f}%"
 
 
 def errors(values: Sequence[float | None] | None) -> str:

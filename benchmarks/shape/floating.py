@@ -166,7 +166,7 @@ def page(stored: dict[str, Any]) -> str:
     for mark, lines in tables.items():
         text = text.replace(mark, "\n".join(lines))
     usv = stored["usv"]
-    missed = ", ".join(f"{100 * w['missed']:.1f} %" for w in stored["waves"])
+    missed = ", ".join(f"{100 * w['missed']:.1f}%" for w in stored["waves"])
     numbers = {f"{{{n}}}": stored[n] for n in ("sphere_panels", "cylinder_panels")} | {
         "{panels}": usv["panels"]
     }
@@ -202,7 +202,7 @@ def _memory_table(stored: dict[str, Any]) -> Iterator[str]:
     yield "|---|---|---|---|---|"
     for i in second.stiffness:
         yield (
-            f"| {MOTIONS[i]} | {100 * first.error[i]:.0f} % | {100 * second.error[i]:.0f} % | "
+            f"| {MOTIONS[i]} | {100 * first.error[i]:.0f}% | {100 * second.error[i]:.0f}% | "
             f"{second.frequency[i]:.2f} rad/s | {second.time[i]:.3f} s |"
         )
 

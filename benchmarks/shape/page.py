@@ -49,7 +49,7 @@ def _table(measured: Sequence[Measured]) -> Iterator[str]:
 def _off(m: Measured, i: int) -> str:
     if not _is_there(m, i):
         return "some" if m.simple[i] > _ZERO * _largest(m, i) else "·"
-    return f"{100 * (m.simple[i] / m.panels[i] - 1):+.1f} %"
+    return f"{100 * (m.simple[i] / m.panels[i] - 1):+.1f}%"
 
 
 def _is_there(m: Measured, i: int) -> bool:

@@ -112,7 +112,7 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
         shown = "none" if not physical else "all" if len(physical) == len(cases) else ", ".join(physical)
         yield (
             f"| {key[0]} {_WAYS[key[1]]} | {shown} | {_range(inertia, 1)} | "
-            f"{_range(drag, 0)} | {weak[0]:+.1f} % | {weak[1]:+.0f} % |"
+            f"{_range(drag, 0)} | {weak[0]:+.1f}% | {weak[1]:+.0f}% |"
         )
 
 
@@ -126,7 +126,7 @@ def _off(row: dict[str, Any], truth: dict[str, Any]) -> tuple[float, float]:
 
 
 def _range(values: Sequence[float], digits: int) -> str:
-    return f"{min(values):+.{digits}f} to {max(values):+.{digits}f} %"
+    return f"{min(values):+.{digits}f} to {max(values):+.{digits}f}%"
 
 
 def _key(row: dict[str, Any]) -> tuple[str, int]:

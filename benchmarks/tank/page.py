@@ -61,7 +61,7 @@ def _auv(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
         names = (r["name"], f"{letter}_{speed}", f"{letter}_{speed}abs{speed}")
         found = [f"{own[n]['value']:.4g} ± {own[n]['sigma']:.2g}" if n in own else "–" for n in names]
         start = f"| {motions[letter]}{_WAYS[r['direction']]} | {found[0]} {_UNITS[letter]} | {r['truth']:.4g}"
-        yield f"{start} | {100 * r['grid']['index'] / r['value']:.1f} % | {found[1]} | {found[2]} |"
+        yield f"{start} | {100 * r['grid']['index'] / r['value']:.1f}% | {found[1]} | {found[2]} |"
 
 
 def _effort(row: dict[str, Any]) -> str:
@@ -73,8 +73,8 @@ def _added(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|---|"
     for r in rows:
         known = f"{r['truth']:.4g} ({r['source']})" if r["truth"] else "–"
-        off = f"{100 * (r['value'] / r['truth'] - 1):+.1f} %" if r["truth"] else "–"
-        index, sigma = (f"{100 * x / r['value']:.1f} %" for x in (r["grid"]["index"], r["sigma"]))
+        off = f"{100 * (r['value'] / r['truth'] - 1):+.1f}%" if r["truth"] else "–"
+        index, sigma = (f"{100 * x / r['value']:.1f}%" for x in (r["grid"]["index"], r["sigma"]))
         value = f"{r['value']:.4g} {_UNITS[r['name'][0]]}"
         yield f"| {_title(r)} | -{r['name']} | {value} | {known} | {off} | {index} | {sigma} | {_effort(r)} |"
 
@@ -104,7 +104,7 @@ def _drag(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|---|"
     for r in rows:
         known = known_drag(r)
-        shown = f"{known:.3f} | {100 * (r['value'] / known - 1):+.1f} %" if known else "– | –"
-        index = f"{100 * r['grid']['index'] / r['value']:.1f} %"
+        shown = f"{known:.3f} | {100 * (r['value'] / known - 1):+.1f}%" if known else "– | –"
+        index = f"{100 * r['grid']['index'] / r['value']:.1f}%"
         start = f"| {_title(r)} | {r['speed']:.3g} m/s | {r['reynolds']:.3g} | {r['value']:.3f} | "
         yield f"{start}{shown} | {index} | {_effort(r)} |"

@@ -36,7 +36,7 @@ COMPLETE: dict[str, tuple[tuple[str, ...], float, bool, str]] = {
     "3 x noise": ((), 3.0, False, "plain"),
     "60-s logs": ((), 1.0, False, "60s"),
     "closed loop": ((), 1.0, True, "plain"),
-    "mass known to 5 %": ((), 1.0, False, "mass-5"),
+    "mass known to 5%": ((), 1.0, False, "mass-5"),
     "one drag 2 x off": (("wrong_drag",), 1.0, False, "plain"),
     "one added mass 2 x off": (("wrong_added_mass",), 1.0, False, "plain"),
     "all guesses 2 x off": (("wrong_all",), 1.0, False, "plain"),

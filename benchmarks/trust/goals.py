@@ -135,13 +135,13 @@ def seconds_by_motions(cases: Iterable[Scored]) -> list[list[str]]:
 
 def at_least(name: str, found: Share, least: float) -> Goal:
     """A share that is to be large."""
-    aim = "100 %" if least == 1.0 else f"≥ {100 * least:g} %"
+    aim = "100%" if least == 1.0 else f"≥ {100 * least:g}%"
     return Goal(name, aim, str(found), _met(found.value >= least, found.n), _needed(1.0 - least), found.n)
 
 
 def at_most(name: str, found: Share, most: float) -> Goal:
     """A share that is to be small."""
-    aim = "none" if most == 0.0 else f"≤ {100 * most:g} %"
+    aim = "none" if most == 0.0 else f"≤ {100 * most:g}%"
     return Goal(name, aim, str(found), _met(found.value <= most, found.n), _needed(most), found.n)
 
 

@@ -80,11 +80,11 @@ def _filtered(run: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _mass_guessed(vehicle: dict[str, Any], seed: int) -> dict[str, Any]:
-    """The vehicle file with a mass that is a guess, wrong by up to 5 %."""
+    """The vehicle file with a mass that is a guess, wrong by up to 5%."""
     body = vehicle["effects"]["rigid_body"]
     value = float(f"{body['m'] * stream(seed, 'mass').uniform(1 - MASS_SPREAD, 1 + MASS_SPREAD):.4g}")
     sigma = float(f"{MASS_SPREAD * value:.3g}")
-    guess = {"value": value, "estimate": True, "sigma": sigma, "source": "guess, good to 5 %"}
+    guess = {"value": value, "estimate": True, "sigma": sigma, "source": "guess, good to 5%"}
     return vehicle | {"effects": vehicle["effects"] | {"rigid_body": body | {"m": guess}}}
 
 

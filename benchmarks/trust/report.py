@@ -58,7 +58,7 @@ def page(records: Iterable[Record]) -> str:
 
 def goal_table(records: Iterable[Record]) -> str:
     """Goals beside what was measured."""
-    return table(("", "measured (95 % interval)", "goal", ""), [g.row for g in goals(scored(records))])
+    return table(("", "measured (95% interval)", "goal", ""), [g.row for g in goals(scored(records))])
 
 
 def _counts(records: Sequence[Record], cases: Sequence[Scored]) -> str:

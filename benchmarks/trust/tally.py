@@ -17,12 +17,12 @@ T = TypeVar("T")
 OURS = "undertow"
 #: Grades in which the truth is to be found.
 VISIBLE = tuple(name for name, _ in GRADES)
-_Z = 1.959964  # 97.5 % quantile of the normal distribution
+_Z = 1.959964  # 97.5% quantile of the normal distribution
 
 
 @dataclass(frozen=True)
 class Share:
-    """k of n, with Wilson's 95 % confidence interval."""
+    """k of n, with Wilson's 95% confidence interval."""
 
     k: int
     n: int
@@ -46,7 +46,7 @@ class Share:
         if not self.n:
             return "no cases"
         low, high = (f"{100 * bound:.3g}" for bound in self.interval)
-        return f"{self.k} of {self.n}: {100 * self.value:.3g} % ({low} to {high})"
+        return f"{self.k} of {self.n}: {100 * self.value:.3g}% ({low} to {high})"
 
 
 def share(cases: Iterable[T], right: Callable[[T], bool]) -> Share:

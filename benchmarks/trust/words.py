@@ -6,7 +6,7 @@ INTRODUCTION = """\
 Vehicles with one to six degrees of freedom are simulated by a program that shares no code with undertow
 (`benchmarks/hidden_effects`), with something hidden, with nothing hidden, or with something that is in no
 catalogue. The seeds were not used during development, except for 12 cases with slow forces (see "How it was
-made"). Every number comes with Wilson's 95 % confidence interval, and every wrong answer is listed. This page
+made"). Every number comes with Wilson's 95% confidence interval, and every wrong answer is listed. This page
 is made by a program.
 """
 NO_PEERS = "Other methods were not run on these data.\n"
@@ -108,21 +108,21 @@ in the tables above.
 - **8821**, commits 0889b3d (60 cases) and ff78b02, the first 94 cases of the plan: strong 26 of 26 first and
   named alone, medium 18 of 18 first and 17 named alone, weak 5 of 6 first and 6 of 6 in the set, pairs 4 of
   4; of 5 effects outside the catalogue three unexplained and two helps_prediction. Three wrong answers, since
-  corrected: two complete models with a mass known to 5 % were said to lack net_buoyancy or constant_force
+  corrected: two complete models with a mass known to 5% were said to lack net_buoyancy or constant_force
   (repeated with ff78b02 both are adequate, and counted as such), and lift was named beside the two effects of
   a pair (repeated with 529b4df, with five candidates, it is not).
 - **2611**, commit 2eee574, 14 effects outside the catalogue: one wrong name, since corrected (rudder_force
   for a periodic side force on a torpedo; e763630). Not corrected: a slow random force on a float
   (float:slow_force_1:x1:n1:open:plain:47106082) is called hull_compressibility. It correlates with the depth
-  by chance, also with instrumental variables; chance does as well in 0.8 % of the draws, where the limit is 1
-  %.
+  by chance, also with instrumental variables; chance does as well in 0.8% of the draws, where the limit is
+  1%.
 - **20261122, 50261123, 60261124**, commits d3e1e81 to 5facd27, 276 cases: none wrong; strong 71 of 74 first
   and 72 named alone, medium 63 of 66 both, weak 18 of 20 first and as many in the set, pairs 15 of 15, no
   false alarm in 69 complete models, 18 of 18 effects outside the catalogue unexplained.
 - **730029, 883311, 440917**, commits 1e58c41 to 8e0a94b, 128 cases: one wrong name, since corrected
   (tether_drag, by a cable of eleven kilometres, for quadratic drag); strong 41 of 43 first, medium 29 of 32,
   weak 10 of 10, pairs 6 of 6, no false alarm in 23 complete models, 9 of 9 effects outside the catalogue
-  unexplained. Of its seven failures four are corrected; a rise of the drag by 6 % at three times the noise is
+  unexplained. Of its seven failures four are corrected; a rise of the drag by 6% at three times the noise is
   still missed, and twice a set of two contains the truth and one that these data cannot tell from it.
 - **918273**, commit b435ccf, 104 cases: one wrong name (thruster_lag for a dead time of a quarter of a
   sample). **862077**, commit 405aa3f, 119 cases, **52711**, 45 cases, and **4711, 4712**, 90 cases: none

@@ -111,7 +111,7 @@ def _auv(output: _Output, bar: Bar) -> Iterator[Piece]:
     *train, test = read_logs([_AUV / f"{name}.csv.gz" for name in names], vehicle, LogMapping())
     yield _text(
         "A small AUV with four thrusters was logged in three runs of a minute; a fourth run is for "
-        "validation. Its vehicle file has mass, added mass, damping and restoring, with guesses good to 15 %."
+        "validation. Its vehicle file has mass, added mass, damping and restoring, with guesses good to 15%."
     )
     comparison = compare(vehicle, [test], compiled=False)
     yield "text", f"Where the model fails on the validation run: it {comparison.result.headline}."

@@ -271,7 +271,7 @@ def test_a_fit_that_predicts_worse_is_not_written_without_force(
     percent = [f"{100 * written[f'ahead_{when}'][longest]:.0f}" for when in ("before", "after")]
     said = out.splitlines()[0]
     assert said.startswith("Refitting raises the ")
-    assert f"{longest.replace(' ', '-')} error from {percent[0]} to {percent[1]} %" in said
+    assert f"{longest.replace(' ', '-')} error from {percent[0]} to {percent[1]}%" in said
     assert err == f"{said} No vehicle file was written; --force writes it\n"
     assert main([*words, "--out", "new.toml", "--force"]) == 0
     value = load_vehicle("new.toml").value_of("X_udot").value

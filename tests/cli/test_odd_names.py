@@ -72,7 +72,7 @@ def load(tmp_path: Path) -> Load:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, np.ndarray]]:
-    """Two runs of 40 s in which the second thruster gives 60 % of what it is told; noise of 1 cm/s."""
+    """Two runs of 40 s in which the second thruster gives 60% of what it is told; noise of 1 cm/s."""
     file = tmp_path_factory.mktemp("truth") / "trio.toml"
     file.write_text(VEHICLE.format(*PLAIN) + "\n[effects.thruster_gain]\ngain_error_b = -0.4\n")
     truth = Functions(load_vehicle(file))

@@ -17,7 +17,7 @@ Capture = pytest.CaptureFixture[str]
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A vehicle whose numbers are 30 % off, and a log for each of its motions."""
+    """A vehicle whose numbers are 30% off, and a log for each of its motions."""
     text = FILE
     for name, value in TRUTH.items():
         text = text.replace(f'{name} = {{ value = "{value:g} ', f'{name} = {{ value = "{0.7 * value:.6g} ')

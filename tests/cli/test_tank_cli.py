@@ -85,10 +85,10 @@ def test_layers_on_part_of_the_hull_are_told(
     capsys.readouterr()
     assert main(["tank", "run", "tank"]) == 0
     (line,) = capsys.readouterr().err.splitlines()  # a push has no layers
-    assert "surge-step, grid 1: layers cover 83 % of the hull, less than 95 %" in line
+    assert "surge-step, grid 1: layers cover 83% of the hull, less than 95%" in line
     assert "inner corners" in line
     assert main(["tank", "run", "tank"]) == 0  # also when all is there
-    assert "layers cover 83 %" in capsys.readouterr().err
+    assert "layers cover 83%" in capsys.readouterr().err
 
 
 def test_a_hole_is_refused(hull: Path, capsys: Capture) -> None:

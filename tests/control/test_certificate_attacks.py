@@ -93,7 +93,7 @@ def test_a_law_that_is_sampled_breaks_no_bound_of_one_that_is_not() -> None:
 
 
 def test_the_page_has_shares_with_their_exact_intervals() -> None:
-    """Clopper and Pearson: 3 of 4 is 19 to 99 %, 2 of 2 from 16 %."""
+    """Clopper and Pearson: 3 of 4 is 19 to 99%, 2 of 2 from 16%."""
     said = ("certified", "certified", "no proof", "certified", "certified", "certified")
     sizes = (1, 1, 6, 6, 6, 6)
     rows = [

@@ -57,7 +57,7 @@ def test_routh_over_intervals_and_ellipsoid(k_v: float, box: str) -> None:
 @pytest.mark.slow
 def test_ellipsoid_is_exact_where_the_margin_is_linear() -> None:
     """Support function: margin - sqrt(chi2) * sqrt(c' Sigma c) changes its sign at the verdict."""
-    reach = 2.4477468306808161  # root of the 95 % quantile of chi-square with 2 degrees of freedom
+    reach = 2.4477468306808161  # root of the 95% quantile of chi-square with 2 degrees of freedom
     for share, verdict in ((0.98, SOME), (1.02, ALL)):
         spread = np.hypot(0.012 * 0.01, 0.0003 * 0.1) * reach
         k_v = 0.0859646 + share * spread / 0.012

@@ -147,7 +147,7 @@ def test_none_seen_is_said_of_what_would_have_shown() -> None:
     assert "smallest detectable changes, %: drag in surge 20, thrust of port 9.8" in calm.words
     likely = reported(good, ("drag", "surge", 0.41, 0.06))
     assert likely.answer == "cannot tell"
-    assert "drag in surge +41 ± 6 % may be a change, but is not significant" in likely.words
+    assert "drag in surge +41 ± 6% may be a change, but is not significant" in likely.words
     blind = reported(good, ("drag", "surge", 0.0, 0.3))
     assert blind.answer == "cannot tell"
     assert "a change of drag in surge below" in blind.words

@@ -65,7 +65,7 @@ def test_between_two_boxes_of_the_table() -> None:
     rest = [0, 1, 3, 5]
     for i in range(6):
         coarse = RectBivariateSpline(places[rest], places[rest], np.log(values[np.ix_(rest, rest)][..., i]))
-        # With half the spacing a cubic is some sixteen times better: 0.4 %.
+        # With half the spacing a cubic is some sixteen times better: 0.4%.
         np.testing.assert_allclose(
             coarse(places[[2, 4]], places[[2, 4]]), np.log(values[[2, 4]][:, [2, 4], i]), atol=0.06
         )

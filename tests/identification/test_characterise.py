@@ -522,8 +522,8 @@ def test_a_sentence_holds_all_that_was_found() -> None:
         between_runs=[BetweenRuns(of="mean force", values={"a": [-1.0], "b": [2.0]}, unit="N", chance=1e-7)],
     )
     assert sentence(left, above_noise=True) == (
-        "surge: 0.81 N rms remains above the noise; 71 % of it correlates with |r| u or |v| u or u^2 (slows "
-        "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10 % of it, with a "
+        "surge: 0.81 N rms remains above the noise; 71% of it correlates with |r| u or |v| u or u^2 (slows "
+        "surge, the more the faster it turns); period 6.3 s stands out (amplitude 0.2 N, 10% of it, with a "
         "different phase in every run); the mean force differs from run to run (-1 to 2 N)"
     )
     assert sentence(left, above_noise=False) == "surge: 0.9 N rms remains, which is noise"

@@ -355,7 +355,7 @@ def test_priors_of_tied_parameters_count_in_their_own_units() -> None:
 
 
 def test_a_guessed_mass_is_found_by_the_weight_it_has() -> None:
-    """A float whose mass is a guess, 2.5 % too large: 7.5 N of weight that is not there.
+    """A float whose mass is a guess, 2.5% too large: 7.5 N of weight that is not there.
 
     Truth of the simulator: 30 kg, which its buoyancy of 294.3 N holds.
     """

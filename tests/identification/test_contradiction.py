@@ -127,7 +127,7 @@ def test_a_share_of_what_drives_a_vehicle_does_not_speak_against_mass(effect: st
 
 @pytest.mark.slow
 def test_a_rudder_is_not_blamed_for_a_periodic_force() -> None:
-    """By chance fins go with it a little: the force gets smaller by 2 %, and predictions no better."""
+    """By chance fins go with it a little: the force gets smaller by 2%, and predictions no better."""
     case = make_case("torpedo", ("periodic_side_force",), 12120427)
     runs, known = runs_of(case), {"rudder_force": catalogue()["rudder_force"]}
     found = diagnose(vehicle_of(case), runs[:3], runs[3:], known=known).diagnosis

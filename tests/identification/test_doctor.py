@@ -638,7 +638,7 @@ def test_a_position_that_never_changes_is_a_warning(usv: Case) -> None:
 
 
 def test_on_one_course_knots_and_a_current_are_both_named() -> None:
-    """At one speed to the north, velocities in knots that are 6 % too small differ as in a current."""
+    """At one speed to the north, velocities in knots that are 6% too small differ as in a current."""
     t, vehicle = np.arange(0.0, 200.0, 0.5), load_vehicle("otter")
     rng = np.random.default_rng(6)
     psi = 0.5 * np.sin(0.15 * t)

@@ -147,7 +147,7 @@ def test_half_sphere_against_hulme(half_sphere: FloatingBody, ka: float) -> None
     omega = np.sqrt(G * ka)
     found = half_sphere.at(omega) / HALF
     for i, motion in ((0, "surge"), (2, "heave")):
-        # Flat panels enclose 0.7 % too little, and damping is small where hardly any waves are made.
+        # Flat panels enclose 0.7% too little, and damping is small where hardly any waves are made.
         assert found[i, i].real == pytest.approx(ADDED[motion][ka], rel=0.02)
         if (damping := DAMPING[motion].get(ka)) is not None:
             assert found[i, i].imag / omega == pytest.approx(damping, rel=0.03, abs=0.002)

@@ -268,7 +268,7 @@ def test_any_crease_gives_numbers(crease: float) -> None:
 
 
 def test_a_coarsely_drawn_ball_is_rounded() -> None:
-    """128 flat triangles miss 9 % of the ball; four for each, by their normals, are as good as drawn."""
+    """128 flat triangles miss 9% of the ball; four for each, by their normals, are as good as drawn."""
     coarse = ball(2)
     assert coarse.volume == pytest.approx(0.911 * 4 / 3 * np.pi, rel=0.002)
     assert curved(coarse, 45.0).volume == pytest.approx(ball(3).volume, rel=0.01)

@@ -180,7 +180,7 @@ def test_a_refusal_tells_sizes_and_limit() -> None:
     message = _refusal(_vehicle("usv"), _log("usv", _speeds(MMPS)))
     assert "x, y change by 0.1" in message
     assert "and the velocities say 1" in message
-    assert "sensor errors explain at most 12 %" in message
+    assert "sensor errors explain at most 12%" in message
     message = _refusal(_vehicle("usv"), _log("usv", scaled("f1", by=1e3)))
     assert "the surge of the log needs 0.00" in message
     assert "at least 0.025 can be" in message

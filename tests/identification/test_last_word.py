@@ -166,7 +166,7 @@ def test_of_effects_that_simulate_alike_the_plainest_leads() -> None:
 
 @pytest.mark.slow
 def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
-    """One of the runs goes 28 m to the east, and drag rises by 0.2 % over two metres at its beginning."""
+    """One of the runs goes 28 m to the east, and drag rises by 0.2% over two metres at its beginning."""
     case = make_case(
         "catamaran", ("boundary_proximity",), 98222414, strength=9e-4, noise=0.3, closed_loop=True
     )

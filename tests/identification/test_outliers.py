@@ -61,7 +61,7 @@ def test_a_robust_loss_costs_little_where_all_is_gaussian() -> None:
 
 
 def test_corrections_are_those_of_gaussian_errors() -> None:
-    """Huber's loss at 1.345 has an efficiency of 95 %, Student's t with four degrees of freedom of 93 %."""
+    """Huber's loss at 1.345 has an efficiency of 95%, Student's t with four degrees of freedom of 93%."""
     z = np.random.default_rng(0).standard_normal(400_000)
     for loss, efficiency in (("huber", 0.95), ("student-t", 0.93)):
         variance, _ = LOSSES[loss].correction(z)

@@ -67,7 +67,7 @@ def test_errors_at_two_per_cent_noise_are_near_the_bound() -> None:
         )
     for found, reference in ((by_output, CRAMER_RAO), (by_weak, WEAK_BASELINE)):
         rmse = 100 * np.sqrt(np.mean((np.array(found) - truth) ** 2, axis=0)) / SIZES
-        # 24 draws know a standard deviation to about 15 %.
+        # 24 draws know a standard deviation to about 15%.
         np.testing.assert_allclose(rmse, reference, rtol=0.35)
 
 

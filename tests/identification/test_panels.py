@@ -50,7 +50,7 @@ def test_the_error_stated_is_none_too_small_and_says_something(spheroid: PanelRe
 @pytest.mark.slow
 @needs_capytaine
 def test_a_box_from_twelve_triangles() -> None:
-    """The printed numbers, to half of their last digit and 0.3 % for the extrapolation of either."""
+    """The printed numbers, to half of their last digit and 0.3% for the extrapolation of either."""
     found = added_mass_of_hull(box_mesh(), RHO, finest=3200).added
     assert np.all(np.abs(np.diag(found.matrix) - BOX) < LAST_DIGIT / 2 + 0.003 * BOX)
     # The table of boxes was computed by quite another mesh.
@@ -102,7 +102,7 @@ def test_radiation_damping_of_a_small_deep_sphere(monkeypatch: pytest.MonkeyPatc
     import capytaine
 
     small = {"tabulation_nr": 200, "tabulation_nz": 120, "tabulation_nb_integration_points": 251}
-    waves = capytaine.Delhommeau  # its own table takes 20 s, once; this one is good to 0.1 % here
+    waves = capytaine.Delhommeau  # its own table takes 20 s, once; this one is good to 0.1% here
     monkeypatch.setattr(
         capytaine, "Delhommeau", lambda **given: waves(**{**small, "tabulation_cache_dir": None, **given})
     )

@@ -162,7 +162,7 @@ def test_expected_errors_are_those_of_fits_to_the_flown_manoeuvre(surge_plan: Pl
     np.testing.assert_allclose(reported, expected, rtol=0.3)
     truth = np.array([vehicle.value_of(n).value for n in _errors(surge_plan)])
     scatter = np.sqrt(np.mean((np.array([list(f.values.values()) for f in fits]) - truth) ** 2, axis=0))
-    # 16 draws know a standard deviation to 18 %.
+    # 16 draws know a standard deviation to 18%.
     np.testing.assert_allclose(scatter, expected, rtol=0.5)
 
 

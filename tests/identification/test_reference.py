@@ -148,20 +148,20 @@ def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:
     left = _predictability("surge", share=0.2, interval=(0.1, 0.31), significant=True)
     noise = _predictability("yaw", share=0.0, interval=(0.0, 0.2), significant=False)
     assert predictable_in_words(0.44, [left, noise]) == (
-        "an error of 44 % remains; of that at most 31 % in surge can be predicted from the logged signals; "
+        "an error of 44% remains; of that at most 31% in surge can be predicted from the logged signals; "
         "the rest is disturbance: 0.4 N rms in surge and 0.4 N rms in yaw"
     )
     pinned = predictable_in_words(0.44, [noise], ["N_rdot"])
     assert pinned.endswith("disturbance, or what drove N_rdot to a physical limit: 0.4 N rms in yaw")
     alone = predictable_in_words(0.44, [noise])
-    assert alone.startswith("an error of 44 % remains; the logged signals predict no more")
+    assert alone.startswith("an error of 44% remains; the logged signals predict no more")
 
 
 def test_the_sentence_does_not_deny_what_effects_that_are_not_named_predict() -> None:
     """Buoyancy that varies with depth: no position is among the signals, and the effect halves the error."""
     silent = _predictability("heave", share=0.0, interval=(0.0, 0.2), significant=False)
     assert predictable_in_words(0.19, [silent], [], ["hull_compressibility"], 0.102) == (
-        "an error of 19 % remains (10 % with hull_compressibility, not established as the cause); "
+        "an error of 19% remains (10% with hull_compressibility, not established as the cause); "
         "velocities, attitude and commands predict no more of it than chance; the rest is disturbance, or "
         "hull_compressibility: 0.4 N rms in heave"
     )
@@ -171,7 +171,7 @@ def test_the_sentence_compares_errors_in_digits_that_differ_and_denies_no_correl
     """A step in time is no signal, and no disturbance either."""
     silent = _predictability("heave", share=0.0, interval=(0.0, 0.2), significant=False)
     said = predictable_in_words(0.0546, [silent], [], ["lift"], 0.0509, correlates=True)
-    assert said.startswith("an error of 5.5 % remains (5.1 % with lift, not established")
+    assert said.startswith("an error of 5.5% remains (5.1% with lift, not established")
     assert said.endswith("disturbance, or lift and what the residual correlates with: 0.4 N rms in heave")
 
 
@@ -231,6 +231,6 @@ def test_the_missing_effect_leaves_noise_in_equations_in_which_the_model_without
 def test_the_least_share_that_can_be_shown_is_that_of_the_critical_correlation(
     blocks: int, correlation: float
 ) -> None:
-    """Two-sided at 5 %, as tables of Pearson's correlation have it."""
+    """Two-sided at 5%, as tables of Pearson's correlation have it."""
     assert np.sqrt(detectable_share(blocks)) == pytest.approx(correlation, abs=1e-3)
     assert detectable_share(2) == 1.0

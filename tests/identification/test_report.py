@@ -168,7 +168,7 @@ def _data(name: str = "run1", runs: int = 1) -> ReportData:
         runs=tuple(RunTraces(f"{name} {i}", (_trace("u"), _trace(name))) for i in range(runs)),
         residuals=tuple(curves),
         budgets=(Budget("surge", "N", {"thrusters": 3.0, name: 1.0}),),
-        fits=Listing(("channel", "fit"), ((name, "71 %"),)),
+        fits=Listing(("channel", "fit"), ((name, "71%"),)),
         settings={"a setting": name},
         versions={"numpy": "2.0"},
     )
@@ -278,13 +278,13 @@ def test_numbers_have_their_units() -> None:
         "6.25 → 1.02",
         "error before → after, multiple of the noise",
         "6.25 × noise",
-        "31 %",
+        "31%",
         "0.125 N",
         "600 samples",
         "60 s",
         "u: 0.012 m/s",
-        "at most 1 %",
-        "98.7 %",
+        "at most 1%",
+        "98.7%",
         "filtered above 1.2 Hz before it was logged",
         "0.37 N m correlated over 2.6 s; 0.5 N m stated",
     ):
@@ -509,7 +509,7 @@ def test_numbers_and_names_as_readers_expect_them() -> None:
     assert quantity(None, "kg") == "–"
     assert quantity(float("nan"), "kg") == "not finite kg"
     assert quantity(-1.5, "1") == "−1.5"
-    assert percent(0.1234) == "12.3 %"
+    assert percent(0.1234) == "12.3%"
     assert percent(None) == "–"
     assert parameter_text("X_uabsu") == "X_u|u|"
     assert parameter_text("N_rabsr") == "N_r|r|"
@@ -637,7 +637,7 @@ def test_more_than_chance_agrees_with_the_interval_beside_it(
     lift = _ranked("lift", 1.0, interval=interval, p_value=chance)
     page = render_report(_diagnosis().model_copy(update={"ranking": [lift]}))
     assert f'<td data-head="significant">{words}<br>' in page
-    assert f"chance {'20.0 %' if chance == 0.2 else '&lt; 0.2 %'}<" in page
+    assert f"chance {'20.0%' if chance == 0.2 else '&lt; 0.2%'}<" in page
 
 
 def test_what_does_nothing_is_folded_away_and_what_to_run_stands_on_top() -> None:

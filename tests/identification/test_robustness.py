@@ -41,7 +41,7 @@ def test_gaps_cost_information_and_nothing_else(method: str) -> None:
     full, gappy = fit(noisy), fit(lost)
     for k, name in enumerate(TRUTH):
         assert abs(gappy.values[name] - EXACT[k]) < 3 * gappy.standard_errors[name]
-        # 15 % of the samples, and the states at the ends of five stretches.
+        # 15% of the samples, and the states at the ends of five stretches.
         assert 0.9 < gappy.standard_errors[name] / full.standard_errors[name] < 2.0
 
 

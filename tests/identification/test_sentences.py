@@ -83,14 +83,14 @@ def _diagnosis(verdict: Verdict, **more: Any) -> Diagnosis:
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        (0.040, 0.016, "lowers the 5-s error from 4.0 to 1.6 %"),
-        (0.67, 0.84, "raises the 5-s error from 67 to 84 %"),
-        (0.2549, 0.2546, "leaves the 5-s error at 25 %"),
-        (0.02849, 0.02851, "leaves the 5-s error at 2.9 %"),
-        (0.126, 0.134, "raises the 5-s error from 12.6 to 13.4 %"),
-        (0.114, 0.1054, "lowers the 5-s error from 11.4 to 10.5 %"),
-        (0.1301, 0.1299, "leaves the 5-s error at 13 %"),
-        (None, 0.05, "lowers the 5-s error from diverging to 5.0 %"),
+        (0.040, 0.016, "lowers the 5-s error from 4.0 to 1.6%"),
+        (0.67, 0.84, "raises the 5-s error from 67 to 84%"),
+        (0.2549, 0.2546, "leaves the 5-s error at 25%"),
+        (0.02849, 0.02851, "leaves the 5-s error at 2.9%"),
+        (0.126, 0.134, "raises the 5-s error from 12.6 to 13.4%"),
+        (0.114, 0.1054, "lowers the 5-s error from 11.4 to 10.5%"),
+        (0.1301, 0.1299, "leaves the 5-s error at 13%"),
+        (None, 0.05, "lowers the 5-s error from diverging to 5.0%"),
         (0.05, None, "raises the 5-s error from 5.0 to diverging"),
     ],
 )
@@ -103,9 +103,9 @@ def test_words_follow_from_the_numbers(before: float | None, after: float | None
 def test_what_falls_and_what_rises_are_said_apart() -> None:
     before, after = {"5 s": 0.688, "20 s": 0.582, "free run": 2.0}, {"5 s": 0.5, "20 s": 0.843}
     assert changes(before, after) == (
-        "lowers the 5-s error from 69 to 50 % and raises the 20-s error from 58 to 84 %"
+        "lowers the 5-s error from 69 to 50% and raises the 20-s error from 58 to 84%"
     )
-    assert changes({"free run": 0.4}, {"free run": 0.2}) == "lowers the free-run error from 40 to 20 %"
+    assert changes({"free run": 0.4}, {"free run": 0.2}) == "lowers the free-run error from 40 to 20%"
 
 
 def test_what_the_file_itself_predicts_is_said_and_compared() -> None:
@@ -113,10 +113,10 @@ def test_what_the_file_itself_predicts_is_said_and_compared() -> None:
     after = Step(added=["tether"], error=2.0, ahead={"2.2 s": 0.485, "8.9 s": 0.482, "free run": 0.4})
     file = Step(added=[], error=9.0, ahead={"2.2 s": 0.471, "8.9 s": 0.477, "free run": 0.6})
     assert as_stated(file, after, "with it") == (
-        "With the values of the vehicle file, the model has a 2.2-s error of 47 % and an 8.9-s error of 48 "
-        "%; with it, it predicts no better."
+        "With the values of the vehicle file, the model has a 2.2-s error of 47% and an 8.9-s error of 48%"
+        "; with it, it predicts no better."
     )
-    assert as_stated(REFITTED, BETTER, "with it").endswith("a 20-s error of 9.0 %.")
+    assert as_stated(REFITTED, BETTER, "with it").endswith("a 20-s error of 9.0%.")
     assert "diverges" in as_stated(Step(added=[], error=9.0), after, "with it")
 
 
@@ -125,9 +125,9 @@ def test_the_position_is_said_where_it_gains_most() -> None:
     sensor = Step(added=["a"], error=1.0, ahead={"5 s": 0.040}, position={"5 s": 0.02, "free run": inf})
     force = Step(added=["b"], error=1.0, ahead={"5 s": 0.010}, position={"5 s": 0.25})
     assert step_changes(before, sensor) == (
-        "lowers the position error over 5 s from 0.5 to 0.02 m and leaves the 5-s error at 4.0 %"
+        "lowers the position error over 5 s from 0.5 to 0.02 m and leaves the 5-s error at 4.0%"
     )
-    assert step_changes(before, force) == "lowers the 5-s error from 4.0 to 1.0 %"
+    assert step_changes(before, force) == "lowers the 5-s error from 4.0 to 1.0%"
     assert "free run" not in sensor.position  # what diverges has no size
 
 
@@ -154,11 +154,11 @@ def test_shares_have_two_digits() -> None:
 def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     found = _diagnosis("missing_effect")
     said = (
-        "Adding lift lowers the 5-s error from 4.0 to 1.6 % and the 20-s error from 9.0 to 3.3 % on "
+        "Adding lift lowers the 5-s error from 4.0 to 1.6% and the 20-s error from 9.0 to 3.3% on "
         "validation runs."
     )
     assert first_sentence(found) == said
-    of_what = said.replace("1.6 %", "1.6 % of the motion")
+    of_what = said.replace("1.6%", "1.6% of the motion")
     assert summarised(found).headline == f"{of_what} What was tried."
     nothing = _diagnosis("unexplained").model_copy(update={"headline": NO_EVIDENCE})
     assert summarised(nothing).headline.count("effect in the catalogue") == 1
@@ -166,12 +166,10 @@ def test_a_missing_effect_is_said_first_with_the_command_that_adds_it() -> None:
     assert summarised(doubted).headline.endswith(". The sensors contradict each other.")
     useless_one = BETTER.model_copy(update={"channels": {"u": 0.5, "r": 2.0}})
     poor = found.model_copy(update={"steps": [*found.steps[:-1], useless_one]})
-    assert summarised(poor).headline.startswith(
-        "Worse than no model at all in yaw (200 %): first check the s"
-    )
+    assert summarised(poor).headline.startswith("Worse than no model at all in yaw (200%): first check the s")
     note = Finding(id="jitter", severity="note", text="a: sampling is irregular", evidence={})
     looked_at = poor.model_copy(update={"doctor": [note]})
-    assert "(200 %): undertow doctor finds no mistake in the logs, so check" in summarised(looked_at).headline
+    assert "(200%): undertow doctor finds no mistake in the logs, so check" in summarised(looked_at).headline
     command = next_command(found, LINE)
     assert shlex.split(command) == [
         *("undertow", "add", "lift", "my rov.toml", "a.csv", "b.csv", "--validation", "c.csv"),
@@ -207,12 +205,12 @@ def test_each_verdict_says_what_to_do() -> None:
     also = "; adding wind and slosh as well improves predictions further, without establishing a cause."
     assert first_sentence(helped).endswith(f"on validation runs{also}")
     useful = _diagnosis("helps_prediction")
-    assert "from 9.0 to 3.3 % on validation runs, but it is not established" in first_sentence(useful)
+    assert "from 9.0 to 3.3% on validation runs, but it is not established" in first_sentence(useful)
     assert "undertow add lift" in next_command(useful, LINE)
     enough = _diagnosis("adequate", runs=[_run("blocks")])
     assert first_sentence(enough) == (
-        "These logs show nothing missing: the refitted model has a 5-s error of 4.0 % and a "
-        "20-s error of 9.0 % on segments of the logs that were not fitted, and can be used as it is."
+        "These logs show nothing missing: the refitted model has a 5-s error of 4.0% and a "
+        "20-s error of 9.0% on segments of the logs that were not fitted, and can be used as it is."
     )
     assert "undertow fit" in next_command(enough, LINE)
     open_ = _diagnosis("not_identifiable", effects=[])
@@ -224,10 +222,10 @@ def test_each_verdict_says_what_to_do() -> None:
     )
     freed = REFITTED.model_copy(update={"ahead": BETTER.ahead, "freed": ["N_r"]})
     others = _diagnosis("adequate", steps=[REFITTED, freed])
-    assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")
+    assert first_sentence(others).startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6%")
     assert "--apply" in next_command(others, LINE)
     still = first_sentence(_diagnosis("unexplained", steps=[REFITTED, freed]))
-    assert still.startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6 %")
+    assert still.startswith("Fitting N_r as well lowers the 5-s error from 4.0 to 1.6%")
     assert "No effect in the catalogue" in still
 
 
@@ -305,7 +303,7 @@ def test_a_model_worse_than_none_is_called_so() -> None:
     """A share of 1 is the error of a model whose vehicle never moves."""
     assert useless({"u": 0.4, "v": 1.0}) == ""
     assert useless({"u": 0.4, "v": 3.5, "r": 2.02}) == (
-        "Worse than no model at all in sway and yaw (350 %, 202 %): first check the signs of commands and "
+        "Worse than no model at all in sway and yaw (350%, 202%): first check the signs of commands and "
         "axes (undertow doctor)."
     )
     assert useless({"w": None}).startswith("Worse than no model at all in heave (diverging):")
@@ -323,8 +321,8 @@ def test_what_the_doctor_doubts_is_not_called_free_of_mistakes() -> None:
 def test_a_refit_that_predicts_worse_than_the_file_is_said_to() -> None:
     stated, refitted = {"5 s": 0.48, "20 s": 0.6}, {"5 s": 0.55, "20 s": 0.7}
     words = refit_is_worse(stated, refitted, 1.025)
-    assert "a 5-s error of 48 % and a 20-s error of 60 % as stated" in words
-    assert "a 5-s error of 55 % and a 20-s error of 70 % refitted" in words
+    assert "a 5-s error of 48% and a 20-s error of 60% as stated" in words
+    assert "a 5-s error of 55% and a 20-s error of 70% refitted" in words
     assert refit_is_worse(stated, refitted | {"20 s": 0.61}, 1.025) == ""
     assert refit_is_worse({"5 s": math.inf}, refitted, 1.025) == ""
 

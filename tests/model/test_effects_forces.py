@@ -625,6 +625,6 @@ def test_the_simulators_effect_is_one_of_ours(effect_id: str, name: str) -> None
     (wrench,) = world.wrenches
     expected = wrench(now)[list(world.dofs), 0]
     found = Stated(effect_id, in_our_words(effect_id, true, world))(eta, nu)[list(world.dofs)]
-    # Nine stations here, ten by Gauss there: the kink where the cross-flow turns round costs some 0.1 %.
+    # Nine stations here, ten by Gauss there: the kink where the cross-flow turns round costs some 0.1%.
     assert found == pytest.approx(expected, rel=5e-3 if effect_id == "crossflow_drag" else 1e-8)
     assert np.abs(expected).max() > 1e-3

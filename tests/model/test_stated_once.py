@@ -73,7 +73,7 @@ def test_weight_and_centre_of_gravity_come_from_the_rigid_body(load: Load) -> No
 def test_a_mass_that_is_to_be_found_leaves_the_righting_moment_to_be_found(
     load: Load, tmp_path: Path
 ) -> None:
-    """Of a weight known to 5 % the moment is known no better; with a weight that is stated it is known."""
+    """Of a weight known to 5% the moment is known no better; with a weight that is stated it is known."""
 
     def moment(restoring: str) -> Value:
         text = ROV.format(centre="z_g = 0.08", restoring=restoring)

@@ -29,7 +29,7 @@ from undertow.model.units import dimension, scale_offset, to_si
         ("5 Nm", "kg m^2/s^2", 5.0),
         ("1 lbf", "N", 4.4482216152605),
         ("4 1/s/m", "1/(m s)", 4.0),
-        ("10 %", "1", 0.1),
+        ("10%", "1", 0.1),
         ("0.9", "1", 0.9),
         ("1 N m s/deg", "N m s", 180 / math.pi),
         (1025, "kg/m^3", 1025.0),

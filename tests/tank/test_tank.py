@@ -572,7 +572,7 @@ def test_added_mass_of_a_spheroid_across(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
 def test_steady_drag_of_a_cylinder(tmp_path: Path) -> None:
-    """Water that moves with the body and flows in again at the outer boundary takes 5 to 9 % off it."""
+    """Water that moves with the body and flows in again at the outer boundary takes 5 to 9% off it."""
     run_tank(tmp_path / "cylinder-drag", made("cylinder-drag", tmp_path), grids=1)
     found = results("cylinder-drag", tmp_path / "cylinder-drag")
     assert [round(row["reynolds"]) for row in found] == [20, 40]
@@ -616,7 +616,7 @@ def test_the_page_says_what_was_measured() -> None:
     for body in ("box-forced", "box-bare"):
         del known[body, "X_udot"]  # the page says why
     for (body, name), off in known.items():
-        # The AUV's panels are known to 2 %.
+        # The AUV's panels are known to 2%.
         assert abs(off) < (0.05 if body.startswith("auv") else 0.03), (body, name)
     drag = {
         (r["body"], r["speed"]): r["value"] / k - 1

@@ -165,7 +165,7 @@ def test_where_it_fails_shows_the_worst_cell_and_any_other(place: Workspace) -> 
         await user.should_see(marker="cell", content="sway, slow")
         names = [trace.get("name") for trace in _figure(user, "residual-against")["data"]]
         assert "mean in bins" in names
-        assert "95 % of the mean" in names
+        assert "95% of the mean" in names
         assert "ocean_current would add" in names
         user.find(marker="page-log").click()
         await user.should_see("yellow: sway, slow")

@@ -134,7 +134,7 @@ def _example_of_jacobians(c: Dialect, functions: Functions) -> str:
 class ThrusterSettings:
     """Numbers of thrusters in C."""
 
-    # points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1 %
+    # points of the table from thrust to command of a thruster with a curve: 33 keep the T200 to 1%
     points: int = 33
     # command up to which a thruster without curve and limit follows its line: beyond any thrust
     reach: float = 1e6

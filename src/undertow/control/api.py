@@ -59,7 +59,7 @@ def check_gains(
         Largest errors by coordinate, m and rad, at rest, that the certified region has to contain.
     uncertain : float, mapping or "stated", optional
         Inertia and damping parameters over whose whole range the certified region has to hold: all within a
-        fraction of their values (0.1 is 10 %), some by name within their own fractions, or those with a
+        fraction of their values (0.1 is 10%), some by name within their own fractions, or those with a
         standard deviation within their intervals at `confidence`; the values of the file by default.
     observer : str or Path, optional
         Observer file; the loop with this observer is linearised, too.

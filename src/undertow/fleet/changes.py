@@ -174,7 +174,7 @@ class Direction:
 
     kind: Kind  # "drag", "thrust" or "inertia"
     of: str  # motion, or thruster
-    # (k,): change of the columns' parameters for a change of one: drag or added mass as a whole by 100 %
+    # (k,): change of the columns' parameters for a change of one: drag or added mass as a whole by 100%
     coefficients: Array
 
     @property
@@ -451,7 +451,7 @@ def _causes(asked: SpanTest, limit: float) -> list[tuple[str, ...]]:
     """The fewest kinds, or the effects of the catalogue, whose change explains all; all that do so.
 
     A single cause that explains all is preferred to two. A cause is excluded if, given it, something else is
-    significant at 1 %.
+    significant at 1%.
     """
     of, span, out = asked.of, asked.span, CRITERIA.alpha / max(len(asked.changes), 1)
     kinds = [k for k in KINDS if any(c.alone <= limit for c in asked.changes if c.direction.kind == k)]
@@ -554,7 +554,7 @@ def _inertia(sure: Sequence[Change], every: Sequence[Change], limit: float) -> t
 
 def _with_error(change: Change) -> str:
     error = f"{100 * change.error:.2g}"
-    return f"{change.direction.name} {100 * change.value:+.3g} ± {error} %"
+    return f"{change.direction.name} {100 * change.value:+.3g} ± {error}%"
 
 
 _WORDING = {"drag": _drag, "thrust": _thrust, "inertia": _inertia}

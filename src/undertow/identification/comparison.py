@@ -663,7 +663,7 @@ def headline(worst: Cell | None) -> str:
     unit = "N" if worst.degree_of_freedom in ("surge", "sway", "heave") else "N m"
     percent = 100 * worst.explained_by_noise
     explained = "under 1" if percent < 1 else f"{percent:.0f}"
-    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained} %"
+    share = f"residual {worst.residual_rms:.3g} {unit}, noise explains {explained}%"
     place = f"in {worst.degree_of_freedom} {worst.phrase}"
     if worst.normalised**2 < 1.0 + SETTINGS.failure * np.sqrt(2 * SETTINGS.correlation_sum / worst.samples):
         return f"no residual clearly exceeds the noise; the largest is {place}: {share}"

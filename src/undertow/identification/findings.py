@@ -151,14 +151,14 @@ def _time(seconds: float) -> str:
 
 
 def _percent(share: float | None) -> str:
-    return "diverged" if share is None else f"{100 * share:.3g} %"
+    return "diverged" if share is None else f"{100 * share:.3g}%"
 
 
 def _between(model: ModelOnTheRest) -> str:
     if model.lowest is None or model.highest is None:
         return ""
     lost = f", {model.diverged} windows diverged" if model.diverged else ""
-    return f" ({100 * model.lowest:.3g} to {100 * model.highest:.3g} %{lost})"
+    return f" ({100 * model.lowest:.3g} to {100 * model.highest:.3g}%{lost})"
 
 
 # --- what the doctor finds ------------------------------------------------------------------------
@@ -228,5 +228,5 @@ class Examination(ResultTable):
 def percent(share: float) -> str:
     """A share in percent, with two digits if they are meaningful."""
     if share < 1e-4:
-        return "< 0.01 %"
-    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
+        return "< 0.01%"
+    return f"{100 * share:.0f}%" if share >= 0.1 else f"{100 * share:.2g}%"

@@ -419,7 +419,7 @@ def observer_file(
 def observed_picture(found: Observed, run: Run) -> Figure:
     """Every pose and velocity with a band of two standard deviations and its reports, then the NIS over time.
 
-    The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95 % band.
+    The NIS is the mean of fifty normalised squared innovations that follow each other, with its 95% band.
     """
     names = [n for n in found.estimate.names if n in MOTION_UNITS]
     from undertow.figures import figure, look, with_unit
@@ -467,5 +467,5 @@ def _nis_panel(axis: Any, found: Observed) -> None:
     low, high = chi2.ppf([0.025, 0.975], k) / k
     mean = np.convolve(square, np.full(k, 1 / k), "valid")
     axis.plot(t[k - 1 :], mean, color=INK, lw=0.8, label=f"NIS, mean of {k} reports")
-    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0, label="95 % of such means if all is as stated")
+    axis.axhspan(low, high, color=FLOOR, alpha=0.2, lw=0, label="95% of such means if all is as stated")
     axis.set_ylabel("NIS")

@@ -288,7 +288,7 @@ def _thrust_law(
 class CurveSettings:
     """How many points of a bench test a curve keeps: every one costs time in every step of a simulation."""
 
-    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1 %
+    error: float = 0.003  # largest error, as a share of the span of the thrust; bench tests repeat to 1%
     points: int = 40  # most points
     # The same error for curves that come with undertow: one T200 differs from the next by more, and each
     # point of its eight thrusters costs a tenth of a second whenever the vehicle is loaded.

@@ -35,7 +35,7 @@ class HullRules:
 
     # friction coefficient of a turbulent boundary layer, for turning hulls: drag coefficients contain it
     friction: float = 0.005
-    # triangles are no longer than this part of the hull: integrals over them are good to 1 %
+    # triangles are no longer than this part of the hull: integrals over them are good to 1%
     strips: int = 30
     blunt: float = 0.8  # bluntness from which the drag coefficient is that of a blunt form
     rounded: float = 0.4  # the same of a rounded form; below it the form is streamlined

@@ -385,7 +385,7 @@ class GciRules:
     least: float = 0.5  # a lower observed order would make the index grow without bound
     most: float = 2.0  # the schemes have no higher order; a higher observed one is chance
     one: float = 0.10  # share of an added mass that a single grid leaves open
-    one_of_drag: float = 0.8  # the same of a damping: the coarsest grid of a slender hull was 40 % too high
+    one_of_drag: float = 0.8  # the same of a damping: the coarsest grid of a slender hull was 40% too high
     rounds: int = 50  # of the iteration for the order
     ceiling: float = 20.0  # of the observed order: values that agree to rounding have any
 
@@ -400,7 +400,7 @@ class Convergence:
     value: float  # on the finest grid
     extrapolated: float  # by Richardson; the value itself where it does not converge
     order: float  # as observed, or assumed; 0 where values run apart
-    index: float  # grid convergence index of the finest grid times the value: a band of about 95 %
+    index: float  # grid convergence index of the finest grid times the value: a band of about 95%
     kind: str  # "monotone", "oscillating", "running apart", "two grids", "one grid"
 
 

@@ -25,8 +25,8 @@ HULL = "hull.stl"
 class TankRules:
     """How water, grid and time follow from a hull and a speed; lengths are shares of its longest side."""
 
-    reach: float = 3.0  # water between hull and outer boundary: it holds the added mass of a sphere to 0.3 %
-    # the same where the flow is plane and what a body moves fades more slowly: a cylinder to 0.3 %
+    reach: float = 3.0  # water between hull and outer boundary: it holds the added mass of a sphere to 0.3%
+    # the same where the flow is plane and what a body moves fades more slowly: a cylinder to 0.3%
     plane: float = 12.0
     along: float = 20.0  # surface cells of the coarsest grid along the longest side, at least
     across: float = 8.0  # the same across the shortest side
@@ -42,7 +42,7 @@ class TankRules:
     thinnest: float = 0.125  # of the first, in cells of the surface: thinner ones cannot follow a curved hull
     growth: float = 1.3  # thickness of one over that of the one below it
     layers: float = 1.0  # thickness of all, in cells of the surface
-    # least share of the hull that layers cover: without any, drag was up to 40 % off, a twentieth is 2 %
+    # least share of the hull that layers cover: without any, drag was up to 40% off, a twentieth is 2%
     covered: float = 0.95
     refinement: float = 2**0.5  # ratio of cells, and of time steps, of one grid to the next finer one
     courant: float = 0.5  # surface cells that pass in one time step, at the speed asked for
@@ -62,7 +62,7 @@ class TankRules:
     corrections: int = 3  # outer corrections of a time step
     same: float = 1e-5  # distance within which a mirrored corner is a corner: the hull is mirror-symmetric
     # most that the speed of a free hull may differ from that by the forces on it, of the highest: both are
-    # iterated. Half a percent is usual; where it was 150 %, forces jumped from step to step.
+    # iterated. Half a percent is usual; where it was 150%, forces jumped from step to step.
     apart: float = 0.05
     courant_limit: float = 50.0  # beyond it a run has diverged
     samples: int = 400  # of the table of a smooth signal

@@ -328,7 +328,7 @@ def residual_against(
         data.append(_points(own["values"], force, inside, "#f9a825", escaped(regime)))
     bins = _of(result["profiles"], dof, variable)
     if bins:
-        data += _ribbon(bins["centre"], bins["force"], bins["error"], "#1565c0", "95 % of the mean")
+        data += _ribbon(bins["centre"], bins["force"], bins["error"], "#1565c0", "95% of the mean")
         data.append(_line(bins, "mean in bins", "#0d47a1", "lines+markers"))
     supplied = _of(curve[1], dof, variable) if curve else None
     if curve and supplied:
@@ -434,7 +434,7 @@ def _folded(name: str) -> str:
 
 # --- parameters ---------------------------------------------------------------------------------
 def against_priors(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Estimates beside what was stated, both over the stated value, with 95 % intervals."""
+    """Estimates beside what was stated, both over the stated value, with 95% intervals."""
     used = [r for r in rows if r["prior"] and r["estimate"] is not None]
     names = [escaped(parameter_text(r["name"])) for r in used]
     stated = _dots(names, [1.0] * len(used), [_over(r["prior_sigma"], r["prior"]) for r in used])
@@ -450,7 +450,7 @@ def against_priors(rows: Sequence[Mapping[str, Any]]) -> Figure:
     return _figure(
         data,
         90 + 30 * len(used),
-        xaxis=_axis("value over the stated one (bars: 95 %)"),
+        xaxis=_axis("value over the stated one (bars: 95%)"),
         yaxis=_axis(autorange="reversed"),
         showlegend=True,
     )

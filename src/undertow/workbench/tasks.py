@@ -201,7 +201,7 @@ def _profile(p: Profile) -> Result:
         "variable": p.variable,
         "centre": _plain(p.centre),
         "force": _plain(p.force),
-        "error": _plain(1.96 * p.error),  # half the 95 % interval, as in reports
+        "error": _plain(1.96 * p.error),  # half the 95% interval, as in reports
     }
 
 

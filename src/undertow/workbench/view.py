@@ -60,7 +60,7 @@ def shown(measure: str, error: float | None) -> str:
     """An error in its unit."""
     if error is None:
         return "diverges"
-    return number(error) if measure == FORCE else f"{number(100 * error)} %"
+    return number(error) if measure == FORCE else f"{number(100 * error)}%"
 
 
 def measures(*tables: Mapping[str, float]) -> list[str]:

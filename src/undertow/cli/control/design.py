@@ -68,7 +68,7 @@ def design(
 def show(done: Design) -> None:
     """Print gains, poles and margins."""
     section(f"Gains of law {done.gains.law.id}", table(("", *done.coordinates), _rows(done)))
-    share = f"{100 * done.coupling:.3g} %"
+    share = f"{100 * done.coupling:.3g}%"
     console().print(text(f"  coupling that the diagonal law leaves out: up to {share} of the optimal gain"))
     for line in _on_conditions(done):
         say(f"  {line}")

@@ -2,7 +2,7 @@
 
 Model, sensors, control law, schedule, thrust allocation and integrator (fourth-order Runge-Kutta) are
 compiled into one call. The controller is sampled every --dt and its commands are held in between; with
---continuous it is not sampled. The output gives settling time (2 %), overshoot, final error, control effort,
+--continuous it is not sampled. The output gives settling time (2%), overshoot, final error, control effort,
 and sustained oscillations (amplitude and period). Several gain files are compared with each other.
 
     undertow simulate mini-auv paper-pd paper-pid paper-smc --to -1,1,1 --for 240 --figures figures
@@ -334,7 +334,7 @@ def _coordinate(c: CoordinateResult) -> tuple[str, ...]:
     settled = (
         "not settled" if c.settling is None and c.move else "" if c.settling is None else f"{c.settling:.2f}"
     )
-    overshoot = "" if c.overshoot is None else f"{c.overshoot:{'.2f' if c.overshoot < _MUCH else '.3g'}} %"
+    overshoot = "" if c.overshoot is None else f"{c.overshoot:{'.2f' if c.overshoot < _MUCH else '.3g'}}%"
     steady = f"{c.steady_error:+.3g} ± {c.steady_spread:.2g}"
     return (
         c.name,
@@ -355,4 +355,4 @@ def _cycle(cycle: Cycle | None, unit: str) -> str:
 
 def _command(c: Any) -> tuple[str, ...]:
     numbers = (f"{v:.4g}" for v in (c.effort, c.rms, c.peak, c.variation))
-    return (c.name, *numbers, f"{100 * c.at_limit:.2g} %" if c.at_limit else "")
+    return (c.name, *numbers, f"{100 * c.at_limit:.2g}%" if c.at_limit else "")

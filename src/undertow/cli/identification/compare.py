@@ -77,7 +77,7 @@ def _show(result: ComparisonResult) -> None:
                 rows.append((regime, *(_number(value) for value in row)))
         section("Residual force, times noise", table(("regime", *result.degrees_of_freedom), rows))
     section("Force budget, % of all rms", _budget(result))
-    error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g} %"
+    error = "diverged" if result.prediction_error is None else f"{100 * result.prediction_error:.3g}%"
     say(f"velocity error {result.horizon:g} s ahead: {error} (geometric mean)")
     say(f"{result.vehicle}: {result.headline}", "bold")
     # Neither of a channel that rests: it has no share of its motion.
@@ -102,7 +102,7 @@ def _forces(result: ComparisonResult) -> Any:
     for d in result.dofs:
         name, value = max(d.inputs.items(), key=lambda item: abs(item[1]), default=("", 0.0))
         first = f"{d.autocorrelation[0]:.2f}" if d.autocorrelation else ""
-        row = (_number(d.residual_rms), _number(d.noise_rms), f"{100 * d.explained_by_noise:.0f} %", first)
+        row = (_number(d.residual_rms), _number(d.noise_rms), f"{100 * d.explained_by_noise:.0f}%", first)
         most = f"{name} {value:+.2f}"
         rows.append((f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", most))
     return table(("motion", "rms", "noise", "noise explains", "lag 1", "white: p", "most with"), rows)

@@ -233,7 +233,7 @@ def _show_ranking(diagnosis: Diagnosis) -> None:
     numbers = (
         [r.effect]
         + ([_change(-r.falls[longest]) if r.falls else ""] if longest else [])
-        + [f"{r.error_after:.3g}", f"{r.explained:.0%}", chance(r.p_value).replace(" %", "%"), r.sure]
+        + [f"{r.error_after:.3g}", f"{r.explained:.0%}", chance(r.p_value), r.sure]
         for r in helping
     )
     section(

@@ -14,7 +14,7 @@ velocities or of a pose are listed.
 might print
 
     mistake: psi is in degrees, read as radians: when corrected, the mismatch between pose rate and velocity
-             changes: x, y 104 % → 0.02 %, psi 97 % → < 0.01 % of the motion (mean square; noise 0.14 %)
+             changes: x, y 104% → 0.02%, psi 97% → < 0.01% of the motion (mean square; noise 0.14%)
         in log.toml:
             [columns]
             heading = { channel = "psi", unit = "deg" }

@@ -121,7 +121,7 @@ def diagnose(
 
     Each log is reduced to a small table, which is kept under --out by the content of the file: a second run
     computes only what is missing. A change is named only if it exceeds the day-to-day scatter, corrected for
-    all tests (1 % chance of a single false name in the whole report), and if nothing else that was tried
+    all tests (1% chance of a single false name in the whole report), and if nothing else that was tried
     explains it; otherwise the report says that it cannot tell.
 
     Exit code 0: all files were used; 1: some could not be used, and are named; 2: a mistake in the input.
@@ -351,7 +351,7 @@ def page(found: FleetReport) -> str:
 
 _HOW = """\
 A change is reported where it exceeds the day-to-day scatter (jackknife over days, Student's t,
-Holm's rule over all vehicles, months and effects: 1 % for a single false report), and a cause is named
+Holm's rule over all vehicles, months and effects: 1% for a single false report), and a cause is named
 where no other cause that was tried explains all of it. Values are one linear step from those of the vehicle
 file, with thrust as stated in the file: where a thruster wears, drag and added mass of a month compensate for
 it. ± is one standard error, from the scatter of the days, or from the noise if that is more; days count as

@@ -197,7 +197,7 @@ def innovations(title: str, found: Observed | ObservedLogs) -> None:
         gone = found.rejected.get(one.name, 0)
         numbers = (f"{found.noise[one.name]:.3g}", str(one.count), f"{gone or ''}", f"{one.mean:.3f}")
         rows.append((one.name, *numbers, f"{one.low:.3f} to {one.high:.3f}", p))
-    head = ("sensor", "noise", "reports", "rejected", "NIS", "95 %", "white, p")
+    head = ("sensor", "noise", "reports", "rejected", "NIS", "95%", "white, p")
     section(title, table(head, rows))
 
 
@@ -216,7 +216,7 @@ def errors(title: str, found: Observed | ObservedLogs) -> None:
         )
         for one in found.nees
     ]
-    section(title, table(("group", "states", "squares", "independent", "NEES", "95 %"), rows))
+    section(title, table(("group", "states", "squares", "independent", "NEES", "95%"), rows))
     say(verdict_of_errors(found), "bold")
 
 

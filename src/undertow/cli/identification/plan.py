@@ -269,7 +269,7 @@ def _gain(plan: Plan, value: float) -> str:
     shares = [p.error_after / abs(p.value) for p in plan.parameters if p.error_after and p.value]
     if not shares:
         return f"standard errors fall by a factor of {value:.3g}"
-    mean = f"standard errors {100 * exp(sum(map(log, shares)) / len(shares)):.2g} % of the values on average"
+    mean = f"standard errors {100 * exp(sum(map(log, shares)) / len(shares)):.2g}% of the values on average"
     known = all(p.error_now is not None for p in plan.parameters)
     return f"{mean}, {value:.3g} times smaller than now" if known else mean
 
@@ -345,7 +345,7 @@ def _share(known: PlannedParameter) -> str:
     if known.error_after is None or not known.value:
         return ""
     share = 100 * known.error_after / abs(known.value)
-    return f"{share:.2g} %" if share < 99 else f"{share:.0f} %"
+    return f"{share:.2g}%" if share < 99 else f"{share:.0f}%"
 
 
 def _rivals(plan: Plan) -> object:

@@ -234,7 +234,7 @@ class SamplingSettings:
     # Both sets of parameters that differ by direction are looked at: this far to either side of rest.
     creep: float = 1e-9
     longest_step: float = 0.05  # longest Runge-Kutta step, s,
-    reach: float = 0.5  # and as a part of the fastest time constant (right to 0.1 % of its decay)
+    reach: float = 0.5  # and as a part of the fastest time constant (right to 0.1% of its decay)
 
 
 SETTINGS = SamplingSettings()

@@ -162,7 +162,7 @@ class CoordinateResult:
     unit: str
     move: float  # what was to be gone, the short way round for an angle
     turns: int  # whole turns from where the move leads to where the vehicle comes to; zero but for angles
-    # time after which the error stays within 2 % of the move, s; None if it is not there for the whole last
+    # time after which the error stays within 2% of the move, s; None if it is not there for the whole last
     # tenth of the run (it may just pass), or nothing was to go
     settling: float | None
     overshoot: float | None  # largest distance beyond the set-point, % of the move

@@ -39,7 +39,7 @@ class BandSettings:
     # Way to and fro in a segment, in heights of it, from which it is a band; a smooth motion turns once.
     travel: float = 3.0
     height: float = 0.02  # least height of a band, as a part of the range of the command
-    gap: int = 7  # segments over which a band is closed and its edges are taken: six are 2 % of the width
+    gap: int = 7  # segments over which a band is closed and its edges are taken: six are 2% of the width
 
 
 BAND = BandSettings()

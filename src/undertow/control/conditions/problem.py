@@ -50,7 +50,7 @@ class SearchSettings:
     tilt_range: tuple[float, float] = (1.0, 85.0)
     confidence: float = 0.95  # of intervals and ellipsoids unless stated, and
     confidence_range: tuple[float, float] = (0.5, 0.9999)  # what can be
-    sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05 % larger than the ellipse
+    sides: int = 96  # sides of the polygon around an ellipse of parameters: 0.05% larger than the ellipse
 
 
 SEARCH = SearchSettings()

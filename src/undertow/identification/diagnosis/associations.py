@@ -31,8 +31,8 @@ STEP = re.compile(r"step\(t - (-?\d+(?:\.\d+)?)\)")
 class AssociationSettings:
     """Settings of the search for terms that a residual force correlates with."""
 
-    step_times: int = 24  # times at which a step is tried, evenly over the logs: within 2 % of their length
-    patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05 %
+    step_times: int = 24  # times at which a step is tried, evenly over the logs: within 2% of their length
+    patterns: int = 1999  # sign patterns for the chance of the best term: shows 0.05%
     independent_share: float = 1e-4  # least share of a column that is linearly independent of the model
     alike_share: float = 0.9  # share of the fall by the best term from which another is named with it
     step_width: float = 0.125  # how long a step takes in a fit, as a share of the time between two of them

@@ -34,7 +34,7 @@ class Comparison:
     """Fall of the mean square from one model to another, block by block.
 
     mean: mean fall of the whitened mean square.
-    interval: 95 % interval of the mean over blocks.
+    interval: 95% interval of the mean over blocks.
     p_value: p-value of the fall if the models are equally good (Wilcoxon signed-rank test, one-sided).
     """
 

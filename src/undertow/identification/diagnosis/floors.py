@@ -147,13 +147,13 @@ def predictable_in_words(
     correlates : bool
         Whether the residual force correlates with something, which may be position or time.
     """
-    shares = [f"{100 * p.at_most:.0f} % in {p.degree_of_freedom}" for p in found if p.significant]
+    shares = [f"{100 * p.at_most:.0f}% in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]
     signals = "velocities, attitude and commands" if helps else "the logged signals"
     # Two errors that are compared need the digits in which they differ.
-    sizes = [f"{100 * e:.{int(bool(helps) and e < 0.1)}f} %" for e in (left, with_help)]
+    sizes = [f"{100 * e:.{int(bool(helps) and e < 0.1)}f}%" for e in (left, with_help)]
     head = f"an error of {sizes[0]} remains"
     if helps:
         head += f" ({sizes[1]} with {listed(helps)}, not established as the cause)"

@@ -1,8 +1,8 @@
 """How much of the residual of a model could be predicted at all: a flexible function of the logged signals.
 
 False alarms on simulated vehicles, three training runs of a minute and one for validation: in 0 of
-48 motions where nothing is missing, in 1 of 60 with gusts. Of a missing current, 93 % of the excess over
-noise (median) was predicted, of a missing lift 60 %, and on 2 of 8 ships nothing significant: a lower bound.
+48 motions where nothing is missing, in 1 of 60 with gusts. Of a missing current, 93% of the excess over
+noise (median) was predicted, of a missing lift 60%, and on 2 of 8 ships nothing significant: a lower bound.
 """
 
 from __future__ import annotations

@@ -277,7 +277,7 @@ _FASTER = {
 
 
 def sentence(left: Remaining, above_noise: bool) -> str:
-    """One sentence: ``surge: 0.8 N rms remains above the noise; 71 % of it correlates with |r| u``."""
+    """One sentence: ``surge: 0.8 N rms remains above the noise; 71% of it correlates with |r| u``."""
     if not above_noise:
         return f"{left.degree_of_freedom}: {left.residual_rms:.2g} {left.unit} rms remains, which is noise"
     size = f"{left.excess_rms:.2g} {left.unit} rms remains above the noise"
@@ -345,7 +345,7 @@ def _run_difference_in_words(difference: BetweenRuns) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+    return f"{100 * share:.0f}%"
 
 
 def _without_inputs(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:

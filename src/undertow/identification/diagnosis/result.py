@@ -103,7 +103,7 @@ class Ranked(ResultTable):
     error_after: float  # normalised error with it
     explained: float  # share of the excess over the noise floor that it removes
     improvement: float  # mean fall of the mean square over the blocks of the validation data
-    interval: tuple[float, float]  # 95 % interval of `improvement`
+    interval: tuple[float, float]  # 95% interval of `improvement`
     significant: bool  # whether it helps by more than chance
     # Probability that the best of all candidates looks as good when nothing is missing; null for idle
     # candidates.
@@ -263,7 +263,7 @@ class Predictability(ResultTable):
     averaged_over: float  # time over which the force is averaged, s
     residual_rms: float  # rms of the averaged force, N or N m
     share: float  # predicted share, beyond what other values of the model's parameters would predict
-    # 95 % interval of `share`, from blocks of the validation data; it ends no lower than the least share that
+    # 95% interval of `share`, from blocks of the validation data; it ends no lower than the least share that
     # the training data could show
     interval: tuple[float, float]
     significant: bool  # whether `share` is significant and large enough to report

@@ -108,8 +108,8 @@ class Settings:
         12, "least number of blocks of the training data for the test against a slow disturbance",
         "their signs resolve 1 in 2 000", off=_NEVER,
     )  # fmt: skip
-    null_draws: int = _field(1000, "draws of the null distribution of the best candidate", "shows 0.1 %")
-    resamples: int = _field(200, "resamples to determine how often a candidate is the best", "shows 0.5 %")
+    null_draws: int = _field(1000, "draws of the null distribution of the best candidate", "shows 0.1%")
+    resamples: int = _field(200, "resamples to determine how often a candidate is the best", "shows 0.5%")
     seed: int = _field(20150518, "seed of draws and resamples", "any")
     more_than_chance: float = _field(
         MORE_THAN_CHANCE,
@@ -276,7 +276,7 @@ class Settings:
         "standard deviation of the size of an effect between parts of the logs, relative to the size, above "
         "which it is not constant (a part in which zero is possible and 1 minus this is not has none of it); "
         "also the largest reduction of its size by a force built from the residual",
-        "below it 97.5 % of the parts have the same sign",
+        "below it 97.5% of the parts have the same sign",
         off=_NEVER,
     )
 

@@ -51,7 +51,7 @@ class OutputErrorSettings:
     # Share by which a fit may predict validation data worse than another and still be as good: the effect of
     # the noise at the starts of windows.
     no_worse: float = 0.01
-    # Standard deviations from which an error counts linearly: 95 % efficiency if all is Gaussian (Huber,
+    # Standard deviations from which an error counts linearly: 95% efficiency if all is Gaussian (Huber,
     # Robust Statistics, 1981; Holland and Welsch, Communications in Statistics A6, 1977).
     huber: float = 1.345
     # Degrees of freedom, kept fixed (Lange, Little and Taylor, J. American Statistical Association 84, 1989).

@@ -575,7 +575,7 @@ class HorizonSettings:
     """Settings that derive window lengths from a vehicle's time constants."""
 
     # Multiples of the slowest time constant. After a quarter of it an error of a force still grows with
-    # time, after four of them the motion at the start is forgotten (e^-4 is 2 %).
+    # time, after four of them the motion at the start is forgotten (e^-4 is 2%).
     multiples: tuple[float, float, float] = (0.25, 1.0, 4.0)
     # Shares of the record where nothing in the model is known to die away.
     shares: tuple[float, float, float] = (0.02, 0.1, 0.4)

@@ -568,7 +568,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 class PressureSettings:
     """What a pressure is taken for where the log does not say; the note on a depth states it."""
 
-    density: float = 1025.0  # of sea water, kg/m^3; in fresh water a depth is 2.5 % more
+    density: float = 1025.0  # of sea water, kg/m^3; in fresh water a depth is 2.5% more
     atmosphere: float = 101325.0  # standard, Pa
 
 

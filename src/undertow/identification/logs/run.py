@@ -364,7 +364,7 @@ class SeriesSettings:
     fewest: int = 10
     lost: float = 3.0  # usual intervals between reports without one, after which the value is unknown
     # A report is moved to an existing row if the motion in between is at most this share of its noise: the
-    # variance of its error then grows by 3 % at most.
+    # variance of its error then grows by 3% at most.
     noise_share: float = 0.3
     same_time: float = 1e-3  # share of the clock's step by which stamps of one time may differ: rounding
     # Share of the reports of the rarest column of a formula that may lack another one in their row: one clock

@@ -27,7 +27,7 @@ class BandSettings:
     """Numbers by which a vehicle's time constants become a rate of samples."""
 
     # Samples in the fastest time constant. With 2.5 the values of the bundled BlueROV2 come out within
-    # 0.5 % of the truth, with 1.5 within 1.6 %, where the noise leaves 0.01 % (docs/long-logs.md).
+    # 0.5% of the truth, with 1.5 within 1.6%, where the noise leaves 0.01% (docs/long-logs.md).
     per_time_constant: float = 2.5
     # Rate where the model has no time constant, and the fastest that the lag of an actuator needs, Hz: a lag
     # that is shorter than a step is a delay to the motion.

@@ -479,7 +479,7 @@ def depth_spread(
 ) -> float | None:
     """Two standard deviations of the largest error of the predicted depth, m; None without a depth.
 
-    A parameter without a stated error counts as known to 30 %.
+    A parameter without a stated error counts as known to 30%.
     """
     if "z" not in problem.names or not known.free:
         return None

@@ -47,8 +47,8 @@ SETTINGS = RivalSettings()
 def typical_values(candidate: Candidate, problem: PlanningProblem) -> dict[str, float]:
     """Values with which each parameter of an effect would be noticeable, SNAME signs.
 
-    A force is 10 % of that of the actuators in a multisine, at speeds of equal size in all directions.
-    What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10 %; what
+    A force is 10% of that of the actuators in a multisine, at speeds of equal size in all directions.
+    What acts otherwise (sensors, delays, dead bands) changes the velocities of that multisine by 10%; what
     does not change them is 0.1 in its unit. A parameter that cannot be zero (a time constant, a saturation)
     takes its default, or the middle one of the starting points of its declaration.
     """

@@ -256,7 +256,7 @@ def _fits(before: Comparison, after: Comparison | None) -> Listing:
         free = " → ".join(percent(None if c.free_run_fit is None else c.free_run_fit / 100.0) for c in shown)
         rows.append((channel.channel, quantity(channel.noise, channel.unit, 2), ahead, free))
     ahead = f"error {before.result.horizon:g} s ahead, rms"
-    return Listing(("channel", "noise", ahead, "free-run fit (100 % is perfect)"), tuple(rows))
+    return Listing(("channel", "noise", ahead, "free-run fit (100% is perfect)"), tuple(rows))
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -346,7 +346,7 @@ def percent(share: float | None) -> str:
     """A share as per cent."""
     if share is None or not isfinite(share):
         return "–"
-    return f"{100 * share:.3g} %".replace("-", "−")
+    return f"{100 * share:.3g}%".replace("-", "−")
 
 
 def render_report(diagnosis: Diagnosis, data: ReportData | None = None) -> str:

@@ -211,7 +211,7 @@ _TICKS = [m * 10.0**e for e in range(-3, 7) for m in (1, 2, 5)]
 
 
 def ranking(ranked: Sequence[Ranked]) -> Figure:
-    """The leading candidates: fall of the mean square on validation data, with 95 % intervals."""
+    """The leading candidates: fall of the mean square on validation data, with 95% intervals."""
     shown = list(ranked)[: SETTINGS.candidates]
     with look():
         picture, axes = figure(1.1 + 0.32 * max(len(shown), 1))
@@ -343,7 +343,7 @@ def decimated(t: Array, values: Array, buckets: int = SETTINGS.buckets) -> tuple
 
 
 def residual_against(curves: Sequence[ResidualCurve], names: tuple[str, str] = ("before", "after")) -> Figure:
-    """Mean residual force in bins of the variables, with the 95 % interval of every mean."""
+    """Mean residual force in bins of the variables, with the 95% interval of every mean."""
     columns = min(3, max(len(curves), 1))
     rows = -(-max(len(curves), 1) // columns)
     with look():

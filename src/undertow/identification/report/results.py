@@ -104,7 +104,7 @@ class AdditionResult(ResultTable):
     runs: list[RunInfo]
     steps: list[Step]  # the model as given, refitted without the effects, and with them
     fall: float  # mean fall of the mean square over the blocks of the validation data
-    interval: tuple[float | None, float | None]  # of 95 %, of the fall
+    interval: tuple[float | None, float | None]  # of 95%, of the fall
     p_value: float  # chance of so consistent a fall where the effects do nothing
     parameters: list[Estimate]
     dropped: list[str]
@@ -146,7 +146,7 @@ def _change(addition: Addition) -> str:
     verb = "rises" if rises(before, after) else "falls" if rises(after, before) else ""
     first, last = both(before, after)
     moves = f"{verb} from {first} to" if verb else "stays at"
-    errors = f"over all horizons together the error {moves} {last} %"
+    errors = f"over all horizons together the error {moves} {last}%"
     if rises(before, after):
         return f"{change}; {errors}, so it does not improve predictions enough to be added."
     old, new = addition.before.error, addition.after.error

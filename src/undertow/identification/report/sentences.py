@@ -100,7 +100,7 @@ def _differ(low: float, high: float, digits: int) -> bool:
 
 
 def changes(before: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """How errors change, by horizon: "lowers the 5-s error from 4.0 to 1.6 % and ... ".
+    """How errors change, by horizon: "lowers the 5-s error from 4.0 to 1.6% and ... ".
 
     The arguments are errors as shares by horizon ("5 s", "free run"), without those that diverge; the free
     run is left out where there are horizons.
@@ -147,7 +147,7 @@ def useless(relative: Mapping[str, float | None], examined: Sequence[Finding] = 
         return ""
     motions = listed([DOFS[VELOCITY.index(n)] for n in worse])
     texts = [percentage(e, 3) for e in worse.values()]
-    sizes = ", ".join(t if t == "diverging" else f"{t} %" for t in texts)
+    sizes = ", ".join(t if t == "diverging" else f"{t}%" for t in texts)
     advice = "first check the signs of commands and axes (undertow doctor)"
     if examined and not any(f.severity == "mistake" for f in examined):
         advice = (
@@ -178,13 +178,13 @@ def chance(p_value: float | None) -> str:
     if p_value is None:
         return ""
     least = SETTINGS.least_probability
-    return f"< {least:.1%}".replace("%", " %") if p_value < least else f"{100 * p_value:.1f} %"
+    return f"< {least:.1%}" if p_value < least else f"{100 * p_value:.1f}%"
 
 
 def errors(ahead: Mapping[str, float]) -> str:
-    """Errors by horizon: "a 5-s error of 1.6 % and a 20-s error of 3.3 %"."""
+    """Errors by horizon: "a 5-s error of 1.6% and a 20-s error of 3.3%"."""
     articles = {h: "an" if re.match(r"8|1[18]\D", h) else "a" for h in _horizons([ahead])}
-    return listed([f"{a} {_error(h)} of {percentage(ahead.get(h))} %" for h, a in articles.items()])
+    return listed([f"{a} {_error(h)} of {percentage(ahead.get(h))}%" for h, a in articles.items()])
 
 
 def as_stated(given: Step, after: Step, changed: str) -> str:
@@ -221,12 +221,12 @@ def _error(horizon: str) -> str:
 
 def _from_to(horizon: str, before: float | None, after: float | None) -> str:
     old, new = both(before, after)
-    return f"{_error(horizon)} from {old} to {new}{'' if new == 'diverging' else ' %'}"
+    return f"{_error(horizon)} from {old} to {new}{'' if new == 'diverging' else '%'}"
 
 
 def _at(horizon: str, share: float | None) -> str:
     size = percentage(share)
-    return f"{_error(horizon)} {size if size == 'diverging' else f'at {size} %'}"
+    return f"{_error(horizon)} {size if size == 'diverging' else f'at {size}%'}"
 
 
 def _clause(verb: str, parts: Sequence[str]) -> str:
@@ -240,7 +240,7 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
         return diagnosis
     parts = (
         useless(diagnosis.last_step.channels, diagnosis.doctor),
-        first_sentence(diagnosis).replace(" %", " % of the motion", 1),
+        first_sentence(diagnosis).replace("%", "% of the motion", 1),
         _rest_of_headline(diagnosis.headline),
     )
     return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
