@@ -410,6 +410,19 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
         raise UndertowError(f"cannot read '{os.fspath(path)}': {_reason(failure)}") from failure
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
+    if not path.is_dir():
+        return sha256_of(path)
+    return hash_of(file for file in sorted(path.rglob("*")) if file.is_file())
+
+
+def hash_of(files: Iterable[Path]) -> str:
+    """SHA-256 of the bytes of several files, in their order."""
+    hashes = (sha256_of(file) for file in files)
+    return hashlib.sha256(b"".join(map(bytes.fromhex, hashes))).hexdigest()
+
+
 def _reason(failure: OSError) -> str:
     return (failure.strerror or str(failure) or type(failure).__name__).lower()
 

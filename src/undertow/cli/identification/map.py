@@ -9,6 +9,7 @@ the file is a question; `undertow doctor VEHICLE LOG --map log.toml` then tries 
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,12 +68,13 @@ def new(
     if not guessed.columns:
         say(f"no column looks like a motion or a command: give theirs a channel in {out}", "yellow")
     left = sum(len(names) for names in guessed.ignored.values())
-    say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out; check every line with '# ?'")
-    files = " ".join(map(str, logs))
+    check = "; check every line with '# ?'" if guessed.asked else ""
+    say(f"wrote {out}: {len(guessed.columns)} columns read, {left} left out{check}")
+    files, map_file = shlex.join(map(str, logs)), shlex.quote(str(out))
     if len(logs) > 1:
-        say(f"then: undertow import {files} --map {out} --out NEW.parquet")
+        say(f"then: undertow import {files} --map {map_file} --out NEW.parquet")
     else:
-        say(f"then: undertow doctor {vehicle or 'VEHICLE'} {files} --map {out}")
+        say(f"then: undertow doctor {shlex.quote(vehicle or 'VEHICLE')} {files} --map {map_file}")
 
 
 def show_guesses(guessed: GuessedMapping, log: Path) -> None:

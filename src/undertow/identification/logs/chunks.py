@@ -17,6 +17,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError
+from undertow.files import file_hash
 
 from . import opening
 from .formats.fieldlog import Window
@@ -29,7 +30,6 @@ from .table import (
     WHOLE,
     Origin,
     columns_of,
-    file_hash,
     flat_table,
     header_of,
     is_gzip,

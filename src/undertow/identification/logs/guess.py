@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from .guess_frames import (
     in_formula,
     is_flag,
     place_of,
-    quaternion_in,
+    quaternions_in,
     rate_of_heading,
     unit_of_heading,
     unit_of_place,
@@ -39,6 +40,7 @@ from .guess_names import (
     RATES,
     WANTED,
     Name,
+    attitude_beside,
     is_clock,
     is_force,
     known_unit,
@@ -49,16 +51,16 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, two_places
+from .guess_text import whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
-from .table import file_bytes, is_dates, joined_rows, numbers, read_table, texts_in, unit_of_cells
+from .table import is_dates, joined_rows, numbers, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
 class GuessSettings:
     """Settings for guesses."""
 
-    lines: int = 50  # lines by which the delimiter of cells is recognised
     rows: int = 20_000  # rows that are examined; more change no guess
     turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
@@ -106,9 +108,9 @@ def guess_table(
     t = times_of_rows(table, data, time, f"log {path}")
     if not clock and (moved := _in_si(data, time.column)):
         time, t = clock_by_motion(time, t, moved)
-    named = quaternion_in(data)
+    named = quaternions_in(data)
     unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
-    rotation = {time.column, *unnamed, *(c for c in data if part_of_quaternion(c, data))}
+    rotation = {time.column, *chain(*named, unnamed), *(c for c in data if part_of_quaternion(c, data))}
     plain = [_name(table, c, reading) for c in data if c not in rotation]
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
@@ -118,11 +120,12 @@ def guess_table(
     motion = _best_columns([n for n in free if n.column not in dead or n.motion(only) not in _MOVED], only)
     motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
-    flags = {name: column for name, column in data.items() if is_flag(column)}
+    flags = {name: column for name, column in data.items() if name not in rotation and is_flag(column)}
     motion, globe, place = fixes_in(motion, data, dead, t)
     fixed = {channel: values for channel, (_, values) in place.items()}
     read = _motions(motion, names, data, flags, (t, fixed))
-    turned = () if {*motion} & {*POSE[3:]} else named or unnamed
+    beside = motion["x"].column if "x" in motion else "".join(globe[:1])
+    turned = () if {*motion} & {*POSE[3:]} else attitude_beside(beside, named) or unnamed
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
@@ -249,6 +252,7 @@ _FLAG = (
 )
 
 
+_BETTER = "another column looks more like the measurement"
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
 _PUMPED = "B_net: weight of the water displaced, if this is in cm^3 and grows to rise: is it, and does it?"
 _FIXES = "x and y: metres from the first fix of this log, if these are {}: are they?"
@@ -297,24 +301,6 @@ def _heading(
         return name.unit if name else ""
     plain = {c: data[n.column] for c, n in motion.items() if c in ("x", "y", "u", "v")}
     return unit_of_heading(data[name.column], {**place, **plain}, t) or _unit("psi", data[name.column])[0]
-
-
-def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
-    """The rows of a log, and the format of its text."""
-    reading, data, where = LogMapping(), file_bytes(path), f"log {path}"
-    table = read_table(data, reading, where, path)
-    sign = _delimiter(table) if len(table.columns) == 1 else None
-    if sign is not None:
-        reading = LogMapping(delimiter=sign)
-        table = read_table(data, reading, where, path)
-    return table, reading
-
-
-def _delimiter(table: pl.DataFrame) -> str | None:
-    """The delimiter of the cells of a table read as one column: the sign that most of its lines have."""
-    (name,) = table.columns
-    lines = [line.strip() for line in (name, *table[name].head(SETTINGS.lines).drop_nulls().cast(pl.String))]
-    return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
 
 
 def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
@@ -676,14 +662,16 @@ def _ignored(
             reason = "never changes: measured by nothing, or held"
         elif set(name.words) & WANTED and not name.motion(only):
             reason = "a set-point, or something else"
+        elif column in rotation:
+            reason = _BETTER
         elif name.motion(only) in foreign:
             reason = "a motion that the vehicle does not have"
         elif name.force:
             reason = "a force on the vehicle, which its thrusters make"
         elif column in no_degrees:
             reason = "? a latitude or longitude that is not in degrees"
-        elif name.motion(only) or column in rotation or column in latitude_and_longitude(columns):
-            reason = "another column looks more like the measurement"
+        elif name.motion(only) or column in latitude_and_longitude(columns):
+            reason = _BETTER
         else:
             reason = "? meaning unknown"
         found.setdefault(reason, []).append(column)

@@ -228,14 +228,11 @@ def in_formula(name: str) -> str:
 
 
 # --- attitudes ------------------------------------------------------------------------------------
-def quaternion_in(data: Mapping[str, Array]) -> tuple[str, ...]:
-    """Columns w, x, y, z of a quaternion: names that differ in these letters, of length one; none: ()."""
-    for name in data:
-        letters = {"w": "wxyz", "W": "WXYZ"}.get(name[-1:], "")
-        found = tuple(name[:-1] + letter for letter in letters)
-        if found and all(n in data for n in found) and _is_unit([data[n] for n in found]):
-            return found
-    return ()
+def quaternions_in(data: Mapping[str, Array]) -> list[tuple[str, ...]]:
+    """Columns w, x, y, z of each quaternion: names that differ in these letters, of length one."""
+    letters = {"w": "wxyz", "W": "WXYZ"}
+    likely = (tuple(name[:-1] + letter for letter in letters.get(name[-1:], "")) for name in data)
+    return [q for q in likely if q and all(n in data for n in q) and _is_unit([data[n] for n in q])]
 
 
 def unnamed_quaternion(data: Mapping[str, Array]) -> tuple[str, ...]:
@@ -343,7 +340,7 @@ class GuessedMapping:
         ]
         head += [
             f"{key} = {_toml(getattr(self.reading, key))}"
-            for key in ("delimiter", "not_numbers", "missing_commands")
+            for key in ("delimiter", "comment", "not_numbers", "missing_commands")
             if getattr(self.reading, key) != LogMapping.model_fields[key].default
         ]
         left: list[str] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 from undertow.model.symbols import POSE, VELOCITY
 
@@ -507,6 +507,20 @@ def part_of_quaternion(column: str, columns: Container[str]) -> bool:
     letters = next((four for four in ("wxyz", "WXYZ") if column[-1:] and column[-1] in four), "")
     four = [column[:-1] + letter for letter in letters]
     return bool(four) and all(c in columns for c in four) and Name.of(four[1]).motion() in POSE[3:]
+
+
+def attitude_beside(place: str, quaternions: Iterable[Sequence[str]]) -> Sequence[str]:
+    """Of the columns of several quaternions those of the attitude as measured, () where none is.
+
+    Rather that of the message which has the column of the position, for its axes are those of the position.
+    """
+
+    def distance(four: Sequence[str]) -> tuple[int, tuple[int, int, bool]]:
+        name = Name.of(four[1])
+        pairs = zip(name.words, Name.of(place).words, strict=False)
+        return -sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs)), name.rank
+
+    return min((four for four in quaternions if not is_wanted(four[0])), key=distance, default=())
 
 
 def is_force(name: str) -> bool:

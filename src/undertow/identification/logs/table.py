@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import csv
 import gzip
-import hashlib
 import io
 import json
 import os
@@ -28,7 +27,7 @@ import polars.selectors as cs
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
-from undertow.files import files_beside, sha256_of
+from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
 from .dates import DATE, as_iso
@@ -275,19 +274,6 @@ class NotTextError(UndertowError):
     """A file that is no table."""
 
 
-def file_hash(path: Path) -> str:
-    """SHA-256 of the bytes of a file, or of all files of a folder in the order of their names."""
-    if not path.is_dir():
-        return sha256_of(path)
-    return hash_of(file for file in sorted(path.rglob("*")) if file.is_file())
-
-
-def hash_of(files: Iterable[Path]) -> str:
-    """SHA-256 of the bytes of several files, in their order."""
-    hashes = (sha256_of(file) for file in files)
-    return hashlib.sha256(b"".join(map(bytes.fromhex, hashes))).hexdigest()
-
-
 def read_table(
     data: bytes, mapping: LogMapping, where: str, path: Path | None = None, limits: LogLimits = WHOLE
 ) -> pl.DataFrame:
@@ -377,12 +363,17 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
-    _refuse_no_names(names, _row_after(header, text, mapping), where)
-    # Polars would give the second of two columns of one name another one.
+    after = _row_after(header, text, mapping)
+    _refuse_no_names(names, after, where)
+    if len(after) == len(names) + 1 and not after[-1].strip():  # each row ends with a delimiter
+        text = re.sub(rb"(?m)%b(?=\r?$)" % re.escape(mapping.delimiter.encode()), b"", text)
+    # Polars would give the second of two columns of one name another one, and a blank line below comments is
+    # a header to it.
     _refuse_doubled(names, where)
+    above = 0 if text.startswith(header) else text.find(b"\n" + header) + 1
     try:
         table = pl.read_csv(
-            text,
+            text[above:],
             infer_schema=False,
             separator=mapping.delimiter,
             comment_prefix=mapping.comment,
@@ -411,7 +402,7 @@ def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
 
 def _refuse_no_names(names: list[str], after: list[str], where: str) -> None:
     """Refuse a first line with numbers just where the line after it has them: that is no header."""
-    numeric, later = ([_is_number(cell) for cell in row] for row in (names, after))
+    numeric, later = ([is_number(cell) for cell in row] for row in (names, after))
     counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
     alike = all(numeric) or (any(numeric) and numeric == later)
     if len(names) > 1 and alike and names not in counted:
@@ -490,7 +481,7 @@ def numbers(table: pl.DataFrame, name: str, mapping: LogMapping, where: str) -> 
             f"{where}: column {name!r} holds {cells.dtype}, not numbers: convert or ignore it"
         )
     values = cells.cast(pl.Float64).fill_null(np.nan).to_numpy().copy()
-    sentinels = [float(value) for value in mapping.missing if _is_number(value)]
+    sentinels = [float(value) for value in mapping.missing if is_number(value)]
     values[np.isin(values, sentinels)] = np.nan
     return values
 
@@ -574,7 +565,8 @@ def _unit_of(cells: pl.Series) -> str:
     return found[2] if same.all() else ""
 
 
-def _is_number(value: float | str) -> bool:
+def is_number(value: float | str) -> bool:
+    """Whether a cell is a number."""
     try:
         float(value)
     except ValueError:

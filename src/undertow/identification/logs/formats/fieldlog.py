@@ -20,9 +20,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, nearest
+from undertow.files import file_hash, hash_of
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
-from undertow.identification.logs.table import Helper, file_hash, hash_of, refuse_no_file
+from undertow.identification.logs.table import Helper, refuse_no_file
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
@@ -594,6 +595,11 @@ def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
     if len(paths) == 1:
         return read_field_log(paths[0], messages)
     for path in paths:
+        if path.is_dir():
+            raise UndertowError(
+                f"log {path} is a folder, and beside other logs only files can be given: give it alone, or "
+                "list its files"
+            )
         refuse_no_file(path)
         if (known := format_of(path)) is not None:
             raise UndertowError(

@@ -1,0 +1,124 @@
+"""How the text of a table is written: lines above its header, delimiters at the ends of its rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from undertow.cli.main import main
+from undertow.errors import UndertowError
+from undertow.identification.logs.guess import guess_mapping, guess_table
+from undertow.identification.logs.mapping import LogMapping
+from undertow.identification.logs.reading import read_log
+
+ROWS = 40
+
+
+def _text(delimiter: str, ends: str = "", newline: str = "\n") -> str:
+    rows = [("t", "x", "u")] + [(f"{0.1 * k:.1f}", f"{0.2 * k:.1f}", f"{2 + k % 3}") for k in range(ROWS)]
+    first, *others = (delimiter.join(row) for row in rows)
+    return newline.join([first, *(row + ends for row in others)]) + newline
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    "above",
+    [
+        "# logger 3, boat 7\n# 2 m/s\n",
+        "# logger\n\n",
+        "% t is in s\n",
+        "---- log1Hz_0708 ----\n",
+        "Run of Monday\n\n",
+        "",
+    ],
+)
+def test_lines_above_the_header_are_no_rows(above: str, delimiter: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(above + _text(delimiter))
+    guessed = guess_mapping(tmp_path / "log.csv")
+    assert {g.channel for g in guessed.columns} == {"x", "u"}
+    run = read_log(tmp_path / "log.csv", guessed.meaning)
+    np.testing.assert_allclose(run.channels["x"], 0.2 * np.arange(ROWS), atol=1e-12)
+    assert (guessed.meaning.comment is None) == (not above)
+
+
+@pytest.mark.parametrize("text", ["# t,x,u\n0,1,2\n0.1,2,3\n", "12\nt,x,u\n12,1,2\n12.1,2,3\n"])
+def test_a_header_and_a_number_are_no_titles(text: str, tmp_path: Path) -> None:
+    """A header may begin with the sign of comments; rows may begin like a number that stands above them."""
+    (tmp_path / "log.csv").write_text(text)
+    if text.startswith("#"):
+        assert {g.channel for g in guess_mapping(tmp_path / "log.csv").columns} == {"x", "u"}
+    else:
+        with pytest.raises(UndertowError, match="line 2 has 3 cells, the header 1"):
+            guess_mapping(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_rows_may_end_with_a_delimiter(delimiter: str, newline: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(_text(delimiter, delimiter, newline), newline="")
+    run = read_log(tmp_path / "log.csv", LogMapping(delimiter=delimiter))
+    np.testing.assert_allclose(run.channels["u"], 2.0 + np.arange(ROWS) % 3)
+    assert run.channels.keys() == {"x", "u"}
+
+
+def test_a_cell_without_a_name_at_the_end_of_a_row_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t,x,u\n0,1,2,\n0.1,2,3,4\n")
+    with pytest.raises(UndertowError, match="line 3 has 4 cells, the header 3"):
+        read_log(tmp_path / "log.csv")
+
+
+def _with_quaternions(**columns: np.ndarray) -> pl.DataFrame:
+    """A vehicle that turns by 0.02 rad/s at 1 m/s; each quaternion is of the heading that is given."""
+    t = np.arange(0.0, 60.0, 0.1)
+    table = {"t": t}
+    for name, psi in columns.items():
+        half = psi / 2
+        parts = np.cos(half), 0.0 * t, 0.0 * t, np.sin(half)
+        table |= {f"{name}{letter}": part for letter, part in zip("wxyz", parts, strict=True)}
+    return pl.DataFrame(table)
+
+
+def test_the_attitude_is_measured_and_of_the_message_with_the_position() -> None:
+    """A goal is no attitude; a compass of other axes comes after the estimate that the position is of."""
+    t = np.arange(0.0, 60.0, 0.1)
+    psi = 0.02 * t
+    quaternions = {"goal.pose.orientation.": 0.7 + 0.1 * np.sin(t), "imu.orientation.": np.pi / 2 - psi}
+    table = _with_quaternions(**quaternions, **{"nav.pose.orientation.": psi}).with_columns(
+        pl.Series("nav.pose.position.x", np.sin(psi) / 0.02),
+        pl.Series("nav.pose.position.y", (1 - np.cos(psi)) / 0.02),
+    )
+    guessed = guess_table(table, Path("log.csv"))
+    (heading,) = (g for g in guessed.columns if g.channel == "psi")
+    assert heading.column.startswith("nav.pose.orientation.w")
+    only_goal = guess_table(_with_quaternions(**{"goal.orientation.": psi}), Path("log.csv"))
+    assert not only_goal.columns
+
+
+def test_parts_of_a_quaternion_are_neither_motions_nor_flags() -> None:
+    """`quat_w` and `quat_z` are no heave and no depth, and x and y of a level vehicle flag no sensor."""
+    psi = 0.02 * np.arange(0.0, 60.0, 0.1)
+    guessed = guess_table(_with_quaternions(quat_=psi), Path("log.csv"))
+    assert {g.channel for g in guessed.columns} == {"phi", "theta", "psi"}
+    assert not any("flag" in question for question in guessed.asked)
+
+
+def test_a_command_to_copy_has_quotes_and_asks_only_for_questions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("dive of May.csv").write_text(_text(","))
+    assert main(["map", "new", "dive of May.csv"]) == 0
+    assert "undertow doctor VEHICLE 'dive of May.csv' --map log.toml" in capsys.readouterr().out
+
+
+def test_a_folder_beside_a_file_is_refused_as_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "nav").mkdir()
+    for file in ("nav/pose.csv", "motors.csv"):
+        (tmp_path / file).write_text(_text(","))
+    assert main(["map", "new", str(tmp_path / "nav"), str(tmp_path / "motors.csv")]) == 2
+    assert "beside other logs only files can be given" in " ".join(capsys.readouterr().err.split())
