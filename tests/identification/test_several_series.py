@@ -9,12 +9,15 @@ import numpy as np
 import polars as pl
 import pytest
 
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.several import CURRENT, NOISE, Dive, model, truth, written
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.doctor.examine import examine
+from undertow.identification.doctor.forces import Forces
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.output_error import fit_output_error
 from undertow.identification.estimation.prediction_error import fit_prediction_error
@@ -61,6 +64,28 @@ def _with_current() -> Vehicle:
 
 
 # --- reading --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("late", [0.004, 0.012])
+def test_topics_written_one_after_the_other_are_one_clock_whatever_is_derived(
+    late: float, tmp_path: Path
+) -> None:
+    """Step and forces are those of the sensors, beside a sway velocity of all rows; no unit is doubted."""
+    case = make_case("usv", (), 2, duration=60.0, runs=("multisine",))
+    vehicle, (plain,) = vehicle_of(case), runs_of(case)
+    whole = pl.DataFrame({"t": plain.t - plain.t[0], **plain.channels})
+    topics = [("x", "y", "psi"), ("u", "r"), vehicle.command_names]
+    parts = [whole.select(pl.col("t") + late * k, *names) for k, names in enumerate(topics)]
+    table = pl.concat(parts, how="diagonal").sort("t")
+    path = written(table, tmp_path / "log.parquet")
+    run = velocities_from_pose(read_log(path, LogMapping(missing_commands="hold"), vehicle.command_names))
+    assert run.derived == {"v"}
+    assert run.step == pytest.approx(plain.step, rel=0.02)
+    tables = [Forces(vehicle).table([one], 4000) for one in (run, plain)]
+    sizes = [np.sqrt(np.mean(one.force**2, axis=0)) for one in tables if one is not None]
+    np.testing.assert_allclose(sizes[0][::2], sizes[1][::2], rtol=0.03)  # surge and yaw
+    found = examine(vehicle, [run]).result.findings
+    assert [f.text for f in found if f.severity == "mistake"] == []
+
+
 def test_rows_are_those_of_the_fastest_sensor_and_few_more(dives: list[Dive], union: list[Run]) -> None:
     run, table = union[0], dives[0].table()
     reports = run.reported["psi"].sum()

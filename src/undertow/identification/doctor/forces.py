@@ -110,7 +110,9 @@ class Forces:
         for piece in run.segments([*velocities, *commands, *angles]):
             part = slice(max(piece.start, active.start), min(piece.stop, active.stop))
             t = run.t[part]
-            functions = cached_test_functions(t, FORCES.width * knot_spacing(t)) if len(t) > 2 else None
+            functions = (
+                cached_test_functions(t, FORCES.width * knot_spacing(run.clock)) if len(t) > 2 else None
+            )
             if functions is not None:
                 motion = run.matrix([*velocities, *angles])[part]
                 yield _means(functions, motion, len(velocities), force[part], self.mass, (index, count))
