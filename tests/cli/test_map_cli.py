@@ -16,7 +16,7 @@ from undertow.identification.logs.guess import guess_mapping, guess_table
 from undertow.identification.logs.guess_frames import Guess, GuessedMapping
 from undertow.identification.logs.guess_names import Name
 from undertow.identification.logs.mapping import read_mapping
-from undertow.identification.logs.reading import read_log
+from undertow.identification.logs.reading import in_vehicle_units, read_log
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 
@@ -762,6 +762,14 @@ def test_a_rudder_beyond_a_right_angle_is_in_degrees(largest: float, tmp_path: P
     assert (guesses["rudder"].entry["unit"], guesses["rudder"].doubt) == ("deg", "")
 
 
+def test_an_angle_in_no_known_unit_is_not_asked_about_as_a_force() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    table = pl.DataFrame({"t": t, "Rudder": 3.0 * np.sin(t), "thrust_1": 9.0 * np.sin(t)})
+    doubts = {g.column: g.doubt for g in guess_table(table, Path("log.csv")).columns}
+    assert "degrees, per cent or something else" in doubts["Rudder"]
+    assert "newtons, per cent or something else" in doubts["thrust_1"]
+
+
 def test_what_only_a_unit_says_is_asked(tmp_path: Path) -> None:
     ship = SHIP.format(thrust=PROPELLER.format("rev/s"))
     guesses, _ = _guesses(tmp_path, ship, **{"yaw [deg/s]": 5.0, "engine [rpm]": 600.0, "north_mps": 1.0})
@@ -1087,6 +1095,26 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
     assert not any(name in question for question in found.questions for name in wrench)
+
+
+def test_a_moment_that_a_draft_reads_in_newton_metres_is_read(tmp_path: Path) -> None:
+    """A thruster may be a moment alone: 1 per N m; one with a lever takes newtons."""
+    text = SURGE.replace('["surge"]', '["surge", "yaw"]').replace("m = 100", "m = 100\nI_z = 5")
+    text += '[[thrusters]]\nname = "yaw_moment"\nwrench = [0, 0, 0, 0, 0, 1]\n'
+    (tmp_path / "boat.toml").write_text(text)
+    vehicle = load_vehicle(tmp_path / "boat.toml")
+    t = np.arange(0.0, 10.0, 0.1)
+    columns = {"t": t, "u": np.sin(t), "r": np.cos(t), "cmd.torque.z": 2.0 + np.sin(t)}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    mapping = guess_mapping(tmp_path / "log.csv", vehicle).meaning
+    assert mapping.columns["cmd.torque.z"].unit == "N m"
+    mapping = in_vehicle_units(mapping, vehicle, "log")
+    run = read_log(tmp_path / "log.csv", mapping, vehicle.actuator_names)
+    np.testing.assert_allclose(run.channels["yaw_moment"], columns["cmd.torque.z"], rtol=1e-12)
+    (tmp_path / "boat.toml").write_text(text.replace("0, 1]", "0, 0.3]"))
+    couple = load_vehicle(tmp_path / "boat.toml")
+    with pytest.raises(UndertowError, match=r"but N .* is needed"):
+        in_vehicle_units(mapping, couple, "log")
 
 
 @pytest.mark.parametrize("pair", [("u_L", "u_R"), ("motor_l", "motor_r"), ("Thrust L", "Thrust R")])

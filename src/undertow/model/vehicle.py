@@ -59,6 +59,11 @@ class Thruster:
         return "N" if self.law is None and self.thrust_per_command.value == 1.0 else self.command_unit
 
     @property
+    def is_moment(self) -> bool:
+        """Whether one unit of its thrust is a moment of 1 N m about one axis, and no force."""
+        return not any(self.wrench[:3]) and sorted(map(abs, self.wrench[3:])) == [0.0, 0.0, 1.0]
+
+    @property
     def idle(self) -> bool:
         """Whether its command gives no thrust, as that of a fin at rest."""
         gain = self.thrust_per_command

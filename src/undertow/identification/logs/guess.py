@@ -36,6 +36,7 @@ from .guess_frames import (
     unnamed_quaternion,
 )
 from .guess_names import (
+    ANGLES,
     DISTANCES,
     RATES,
     WANTED,
@@ -610,7 +611,8 @@ def _command(
         entry["unit"], doubt = ("deg", "") if max(most, -least) > np.pi / 2 else _unit("phi", values)
     elif unit == "N" or max(most, -least) > SETTINGS.full:
         expected = " The vehicle file expects N: else give the force of a command of 1 as scale"
-        doubt = f"from {least:.3g} to {most:.3g}: newtons, per cent or something else?"
+        likely = "degrees" if {*name.unnumbered} & ANGLES else "newtons"
+        doubt = f"from {least:.3g} to {most:.3g}: {likely}, per cent or something else?"
         doubt += expected if unit == "N" else ""
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 

@@ -77,6 +77,8 @@ _DRIVES = {
     "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
     "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
+ANGLES = {"rudder", "delta", "fin", "azimuth", "angle"}
+"""Words of commands that are angles."""
 # Consumption and temperature of a motor are no commands.
 _CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
 _HEADER = {"header", "seq", "covariance", "status"}

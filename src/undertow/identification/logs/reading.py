@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -197,15 +198,17 @@ def in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMa
     A stated unit that is of another kind than the command, such as rev/s for newtons, is refused.
     """
     counted = {t.name: TURNS[t.unit] for t in vehicle.thrusters if t.unit in TURNS}
-    others = {n: unit for n, unit in vehicle.input_units.items() if n not in counted and unit != "command"}
+    units = {n: unit for n, unit in vehicle.input_units.items() if n not in counted and unit != "command"}
+    moments = {t.name for t in vehicle.thrusters if t.is_moment and units.get(t.name) == "N"}
 
     def converted(name: str, command: str, part: Mapped) -> Mapped:
         of = f"{where}: unit {part.unit!r} of {name!r},"
         if part.unit is not None and command in counted:
             speed = scale_offset(part.unit, "rad/s", of=f"{of} speed of a propeller,")[0]
             return part.in_units_of(speed * TURNS["rad/s"] / counted[command])
-        if part.unit is not None and command in others:
-            _require_kind(part.unit, others[command], of=f"{of} a command,")
+        if part.unit is not None and command in units:
+            others = ("N m",) if command in moments else ()
+            _require_kind(part.unit, units[command], *others, of=f"{of} a command,")
         return part
 
     columns = {n: converted(n, column.channel, column) for n, column in mapping.columns.items()}
@@ -213,8 +216,12 @@ def in_vehicle_units(mapping: LogMapping, vehicle: Vehicle, where: str) -> LogMa
     return mapping.model_copy(update={"columns": columns, "channels": channels})
 
 
-def _require_kind(unit: str, wanted: str, of: str) -> None:
-    """Refuse a unit of a command that is of another kind than that which the vehicle takes."""
+def _require_kind(unit: str, wanted: str, *others: str, of: str) -> None:
+    """Refuse a unit of a command that is of another kind than those which the vehicle takes."""
+    for other in others:
+        with suppress(UndertowError):
+            scale_offset(unit, other)
+            return
     try:
         scale_offset(unit, wanted, of=of)
     except UndertowError as error:
