@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import format_of, read_field_log
 from undertow.identification.logs.mapping import north_east
 from undertow.identification.logs.reading import read_log, read_logs
+from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 
 from .dive import dive
@@ -44,6 +46,25 @@ def _file(path: Path, variables: dict[str, tuple[Any, dict[str, Any]]], begin: s
             variable.setncatts(attributes)
             variable[:] = values
     return path
+
+
+def test_the_volume_that_a_glider_pumps_is_its_net_buoyancy(tmp_path: Path) -> None:
+    """Not what its engine consumes and counts; a mapping of the format is completed by it."""
+    t = np.arange(0.0, 600.0, 4.0)
+    volume = 200.0 * np.sign(np.sin(0.02 * t))
+    path = _file(tmp_path / "dive.nc", {
+        "time": (t, {"units": "seconds since 2020-01-01", "standard_name": "time"}),
+        "depth": (10.0 - 8.0 * np.cos(0.02 * t), {"standard_name": "depth", "units": "m"}),
+        "gc_vbd_volts": (24.0 + 0.1 * np.sin(t), {}),
+        "eng_vbdCC": (volume, {}),
+    })  # fmt: skip
+    glider = replace(load_vehicle("glider"), inputs={"B_net": "N"}, degrees_of_freedom=("heave",))
+    glider = glider.with_effect(catalogue()["net_buoyancy"], {})
+    found = first_mapping(read_field_log(path), glider)
+    (force,) = (g for g in found.columns if g.channel == "B_net")
+    assert force.column.endswith("eng_vbdCC")
+    run = read_log(path, found.meaning, channels=["B_net"])
+    np.testing.assert_allclose(run.channels["B_net"], 1025 * 9.816 * 1e-6 * volume, rtol=1e-5)
 
 
 def test_standard_names_give_meaning_sign_and_unit(tmp_path: Path) -> None:

@@ -604,7 +604,8 @@ def _command(
         doubt = f"from {np.min(pulses):.4g} to {most:.4g}, {about}"
     elif len(pulses) and low <= np.min(pulses) and most <= high:
         entry |= _normalisation(PULSES.neutral, PULSES.span, values)
-        expected = " The vehicle file expects N: a curve in its file, or the force of a full command as scale"
+        expected = " The vehicle file expects N: a curve there, or scale and offset times the force of a "
+        expected += "full command"
         doubt = f"pulses from {np.min(pulses):.4g} to {most:.4g} us, read as -1 ... 1 about 1500: "
         doubt += f"is that right?{expected if unit == 'N' else ''}"
     elif unit == "rad":  # no rudder or fin turns by more than a right angle

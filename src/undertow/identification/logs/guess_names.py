@@ -90,6 +90,7 @@ _ABOUT_ELSE = {
 _MOMENT = {"torque", "moment"}
 # Buoyancy engines of gliders; their volume as commanded (c_ballast_pumped of a Slocum) is not that pumped.
 _ENGINE, _COMMANDED = {"ballast", "vbd", "buoyancy", "bladder"}, {"c", "cmd", "command", "commanded"}
+_VOLUMES, _WHOSE = {"volume", "vol", "cc", "cm3", "ml", "pumped"}, {"m", "eng", "glider"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
 # Forces and moments in one word, beside one for a wrench: "wrench.fx", "tau_mz".
@@ -353,7 +354,8 @@ class Name:
         """Whether it is the volume by which a buoyancy engine has changed that of the vehicle."""
         words = set(self.words)
         measured = not words & {*WANTED, *_COMMANDED}
-        return measured and bool(words & _ENGINE) and self.unit in {"", "cc", "cm^3", "cm3", "ml"}
+        named = words & _VOLUMES or not words - _ENGINE - _WHOSE  # and not what the engine consumes or counts
+        return measured and bool(words & _ENGINE and named) and self.unit in {"", "cc", "cm^3", "cm3", "ml"}
 
     @property
     def force(self) -> str:

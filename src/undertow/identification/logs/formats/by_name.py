@@ -75,7 +75,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]
-    left = [n for n in log.columns if lacking and n not in meaning.columns and _may_be_command(n, lacking)]
+    left = [n for n in log.columns if n not in meaning.columns and _may_drive(n, lacking, vehicle)]
     if lacking and log.actuators:  # they are as many as the vehicle has not
         left = [name for name, _ in log.actuators]
     guessed = guess_table(log.table(left), log.path, vehicle, HELD, CLOCK).columns if left else ()
@@ -123,9 +123,14 @@ def _possible_velocities(log: FieldLog, known: Set[str], vehicle: Vehicle | None
     return tuple(found)
 
 
-def _may_be_command(column: str, commands: Sequence[str]) -> bool:
-    name = Name.of(column)
-    return name.is_command or any(name.drives(command, {}) < DISTANCES.no_fit for command in commands)
+def _may_drive(column: str, lacking: Sequence[str], vehicle: Vehicle | None) -> bool:
+    """Whether a column may be a command, or a logged quantity, that the vehicle lacks."""
+    name, inputs = Name.of(column), dict(vehicle.inputs) if vehicle else {}
+    commands = [c for c in lacking if c not in inputs]
+    if commands and (name.is_command or any(name.drives(c, {}) < DISTANCES.no_fit for c in commands)):
+        return True
+    sensed = (name.senses(c, inputs[c])[0] < DISTANCES.no_fit for c in lacking if c in inputs)
+    return any(sensed) or ("B_net" in lacking and name.is_pumped_volume)
 
 
 def _as_guesses(known: Mapping[str, Column] | Mapping[str, Channel]) -> list[Guess]:
