@@ -103,6 +103,30 @@ def test_axes_are_those_in_which_position_and_velocity_agree(
     assert "Hence these axes" in guessed.axes.questions[0]
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sway", [1, -1])
+@pytest.mark.parametrize("quaternion", [False, True])
+def test_the_yaw_rate_has_the_sign_of_the_change_of_the_heading(
+    case: Path, sign: int, sway: int, quaternion: bool
+) -> None:
+    """A gyro that counts turns to port, beside a heading that grows to starboard, in whatever axes v is."""
+    half = pl.col("psi") / 2
+    heading = {"psi": pl.col("psi")} if not quaternion else {
+        "att.orientation.w": half.cos(), "att.orientation.x": 0.0 * half,
+        "att.orientation.y": 0.0 * half, "att.orientation.z": half.sin(),
+    }  # fmt: skip
+    plain = {name: pl.col(name) for name in ("t", "x", "y", "u")}
+    _renamed(case, **plain, v=sway * pl.col("v"), r=sign * pl.col("r"), **heading)
+    guessed = guess_mapping(case / "own.csv")
+    assert guessed.axes.entry["body"] == ("FRD" if sway > 0 else "FLU")
+    (rate,) = (g for g in guessed.columns if g.channel == "r")
+    assert ("reversed" in rate.doubt) == (sign != sway)
+    (case / "log.toml").write_text(guessed.text())
+    found, true = _read(case, "own.csv"), read_log(case / "train.csv")
+    np.testing.assert_allclose(found["r"], true.channels["r"], atol=1e-6)
+    np.testing.assert_allclose(found["v"], true.channels["v"], atol=1e-6)
+
+
 def test_speeds_ahead_and_to_the_left_are_u_and_minus_v(case: Path) -> None:
     """And the axes are found from them as they are read."""
     _renamed(

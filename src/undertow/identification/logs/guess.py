@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.parameter import logged
 from undertow.model.symbols import DOFS, MOTION_UNITS, POSE, VELOCITY
@@ -52,10 +51,10 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, two_places
-from .guess_text import whole_table
+from .guess_text import numbers_of, whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
-from .table import is_dates, joined_rows, numbers, texts_in, unit_of_cells
+from .table import joined_rows, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -131,6 +130,7 @@ def guess_table(
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
+    read = _rates_by_heading(read, names, data, (t, (known | attitude).get("psi")), axes)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _by_fixes(globe, place, data, flags)
     read = [in_axes(g, axes) for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
@@ -144,20 +144,13 @@ def guess_table(
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
+    foreign = {*motion} - {g.channel for g in read}
     return GuessedMapping(
         path.name,
         time,
         tuple(read),
         axes,
-        _ignored(
-            table.columns,
-            used,
-            names,
-            dead,
-            only,
-            {*motion} - {g.channel for g in read},
-            (_no_degrees(data), rotation),
-        ),
+        _ignored(table.columns, used, names, dead, only, foreign, (_no_degrees(data), rotation)),
         reading,
         (*questions, *gaps),
     )
@@ -253,6 +246,7 @@ _FLAG = (
 )
 
 
+_AGAINST = "its sign is reversed here, so that it is the rate of the heading in these axes: is that right?"
 _BETTER = "another column looks more like the measurement"
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
 _PUMPED = "B_net: weight of the water displaced, if this is in cm^3 and grows to rise: is it, and does it?"
@@ -302,17 +296,6 @@ def _heading(
         return name.unit if name else ""
     plain = {c: data[n.column] for c, n in motion.items() if c in ("x", "y", "u", "v")}
     return unit_of_heading(data[name.column], {**place, **plain}, t) or _unit("psi", data[name.column])[0]
-
-
-def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
-    """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
-    if is_dates(table, name):
-        return None
-    try:
-        values = numbers(table, name, reading.model_copy(update={"not_numbers": "missing"}), "log")
-    except UndertowError:
-        return None
-    return values if len(texts_in(table, name, reading)) <= np.count_nonzero(np.isfinite(values)) else None
 
 
 def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
@@ -412,7 +395,7 @@ def _motions(
     heading = _heading(motion, data, t, place)
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    return _with_common_units(_rates_by_heading(read, {n: data[n.column] for n in names}, t), names)
+    return _with_common_units(read, names)
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
@@ -504,25 +487,39 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
     return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
 
 
-def _rates_by_heading(read: Sequence[Guess], columns: Mapping[Name, Array], t: Array) -> list[Guess]:
-    """The guesses with the column and unit of the yaw rate by the derivative of the heading."""
-    heading = next((g for g in read if g.channel == "psi"), None)
-    if heading is None or len(t) == 0:
-        return list(read)
-    psi = {n.column: c for n, c in columns.items()}[heading.column] * _factor(heading)
-    turning = {n.column: c for n, c in columns.items() if n.motion() in VELOCITY[3:]}
+def _rates_by_heading(
+    read: list[Guess],
+    names: Sequence[Name],
+    data: Mapping[str, Array],
+    heading: tuple[Array, Array | None],
+    axes: Axes,
+) -> list[Guess]:
+    """The guesses with column, unit and sign of the yaw rate as the heading changes (times, rad)."""
+    guessed, (t, psi) = next((g.column for g in read if g.channel == "r"), ""), heading
+    if psi is None or len(t) == 0 or not guessed:
+        return read
+    turning = {n.column: data[n.column] for n in names if n.motion() in VELOCITY[3:]}
     rates = {n: c for n, c in turning.items() if np.nanmax(np.abs(c), initial=0.0) >= SETTINGS.still}
-    column, factor = rate_of_heading(psi, rates, t)
+    own = {n: c for n, c in rates.items() if n == guessed}
+    column, factor = rate_of_heading(psi, own, t)
+    if not column:
+        column, factor = rate_of_heading(psi, rates, t)
+    if not column:
+        return read
+    # Where axes of the body and of the attitude differ in hand, turns to starboard count the other way.
+    attitude, body = axes.entry.get("attitude", axes.entry["position"]), axes.entry["body"]
+    against = (factor < 0) != ((attitude == "NED") != (body == "FRD"))
+    unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / scale_offset(u, "rad/s")[0])))
+    entry = {"channel": "r", "unit": unit} | ({"scale": -1} if against else {})
     kept = []
     for guess in read:
-        if guess.channel == "r" and column:
-            unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / scale_offset(u, "rad/s")[0])))
+        if guess.channel == "r":
             other = f"the heading changes like '{column}', not like '{guess.column}': which is the yaw rate?"
-            doubt = "" if column == guess.column else other
-            guess = Guess(column, {"channel": "r", "unit": unit}, doubt)
+            asked = [other] * (column != guess.column) + [_AGAINST] * against
+            guess = Guess(column, entry, " ".join(asked))
         kept.append(guess)
-    taken = [g for g in kept if g.channel == "r"]
-    return [g for g in kept if g.channel == "r" or g.column not in {one.column for one in taken}]
+    kept = [g for g in kept if g.channel == "r" or g.column != column]
+    return _with_common_units(kept, names)
 
 
 def _with_common_units(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:

@@ -1,4 +1,4 @@
-"""How the text of a table is written: the delimiter of its cells, and the lines above its header."""
+"""How the text of a table is written: delimiter, lines above the header, cells that are numbers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,24 @@ from dataclasses import dataclass
 from gzip import GzipFile
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
+from undertow.errors import UndertowError
+from undertow.typing import Array
+
 from .mapping import LogMapping
-from .table import DAMAGED, file_bytes, is_gzip, is_number, is_parquet, read_table
+from .table import (
+    DAMAGED,
+    file_bytes,
+    is_dates,
+    is_gzip,
+    is_number,
+    is_parquet,
+    numbers,
+    read_table,
+    texts_in,
+)
 
 
 @dataclass(frozen=True)
@@ -69,3 +83,14 @@ def _delimiter(table: pl.DataFrame) -> str | None:
     (name,) = table.columns
     lines = [line.strip() for line in (name, *table[name].head(SETTINGS.lines).drop_nulls().cast(pl.String))]
     return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
+
+
+def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
+    """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
+    if is_dates(table, name):
+        return None
+    try:
+        values = numbers(table, name, reading.model_copy(update={"not_numbers": "missing"}), "log")
+    except UndertowError:
+        return None
+    return values if len(texts_in(table, name, reading)) <= np.count_nonzero(np.isfinite(values)) else None
