@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping as TypingMapping
 from dataclasses import replace
 from functools import cache
@@ -35,6 +36,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 POSE, VELOCITY = ("x", "y", "z", "phi", "theta", "psi"), ("u", "v", "w", "p", "q", "r")
 QUICK = ("usv", "mini-auv", "box")  # what `make test` takes
 QUICK_EFFECTS = (("ocean_current",),)
+_FORCES = r"needs ([\d.]+) times .*\(([\d.e+-]+) N against ([\d.e+-]+) N rms"
 MMPS, CMPS, KNOTS, KMH, FTPS = 1000.0, 100.0, 1 / 0.514444, 3.6, 1 / 0.3048
 
 
@@ -184,6 +186,25 @@ def test_a_refusal_tells_sizes_and_limit() -> None:
     message = _refusal(_vehicle("usv"), _log("usv", scaled("f1", by=1e3)))
     assert "the surge of the log needs 0.00" in message
     assert "at least 0.025 can be" in message
+
+
+def test_the_forces_of_a_refusal_have_the_ratio_that_it_states() -> None:
+    """Two thrusters that work against each other, logged as a thirtieth: what is told is beside the other."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 60.0, 0.05)
+    waves = rng.uniform(0.5, 6.0, (2, 8, 1)) * t + rng.uniform(0.0, 6.0, (2, 8, 1))
+    ahead, apart = np.sin(waves).sum(axis=1)
+    vehicle = load_vehicle("otter")
+    beside = tuple(replace(one, wrench=(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in vehicle.thrusters)
+    names, mass = [one.name for one in beside], vehicle.values["m"].value - vehicle.values["X_udot"].value
+    forces = dict(zip(names, (ahead + 10 * apart, ahead - 10 * apart), strict=True))
+    speed = np.cumsum(np.append(0.0, sum(forces.values())[:-1])) * 0.05 / mass
+    run = Run("a", t, {n: force / 30 for n, force in forces.items()} | {"u": speed})
+    hull = replace(vehicle, thrusters=beside, degrees_of_freedom=("surge",))
+    message = _refusal(hull, run)
+    factor, needed, given = map(float, re.search(_FORCES, message).groups())  # type: ignore[union-attr]
+    assert factor == pytest.approx(30, rel=0.1)
+    assert needed / given == pytest.approx(30, rel=0.1)
 
 
 def test_thrusters_with_a_curve_push_as_their_curve_says() -> None:

@@ -255,9 +255,20 @@ def _compared(motion: str, force: Array, others: Array, commands: dict[str, Arra
     """Force of one motion against that of commands, beside what else may act."""
     own = orthogonal_to(others, np.column_stack([force, *commands.values()]))
     found = zip(*_fitted(own[:, 1:], own[:, 0]), strict=True)
-    for (name, data), response in zip(commands.items(), found, strict=True):
-        sizes = (float(np.sqrt(np.mean(a**2))) for a in (force, data))
-        yield Response(motion, name, *map(float, response), *sizes)
+    for k, (name, (gain, error, share)) in enumerate(zip(commands, found, strict=True), 1):
+        yield Response(motion, name, float(gain), float(error), float(share), *_sizes(own, k))
+
+
+def _sizes(own: Array, command: int) -> tuple[float, float]:
+    """What the motion needs and one command gives, rms, beside the other commands.
+
+    So their ratio is no less than the gain, as that of the whole columns may be where others work against it.
+    """
+    pair, rest = own[:, [0, command]], np.delete(own, [0, command], axis=1)
+    alone = orthogonal_to(rest, pair) if rest.any() else pair
+    distinct = np.sum(alone[:, 1] ** 2) > FORCES.distinct * np.sum(pair[:, 1] ** 2)
+    needed, given = np.sqrt(np.mean((alone if distinct else pair) ** 2, axis=0))
+    return float(needed), float(given)
 
 
 def _fitted(columns: Array, force: Array) -> tuple[Array, Array, Array]:
