@@ -70,6 +70,37 @@ def test_a_cell_without_a_name_at_the_end_of_a_row_is_refused(tmp_path: Path) ->
         read_log(tmp_path / "log.csv")
 
 
+@pytest.mark.parametrize("minutes", [False, True])
+@pytest.mark.parametrize(("latitude", "longitude"), [(-33.5, -70.6), (63.4, 10.4), (-33.9, 151.2)])
+def test_the_letter_of_a_hemisphere_is_a_sign(
+    latitude: float, longitude: float, minutes: bool, tmp_path: Path
+) -> None:
+    """A vehicle that goes north and east does so in all of them; beside that, N, S and W are units."""
+
+    def cell(degrees: float, letters: str) -> str:
+        size = abs(degrees)
+        number = 100 * np.floor(size) + 60 * (size % 1) if minutes else size
+        return f"{number:.7f} {letters[int(degrees < 0)]}"
+
+    t = np.arange(0.0, 60.0, 0.5)
+    north = latitude + t / 111_000
+    east = longitude + 2 * t / (111_000 * np.cos(np.radians(latitude)))
+    columns = {
+        "t": t,
+        "heading": np.degrees(np.arctan2(2, 1)) + np.sin(t),
+        "Latitude": [cell(value, "NS") for value in north],
+        "Longitude": [cell(value, "EW") for value in east],
+        "thrust": [f"{abs(value):.2f} N" for value in np.sin(t)],
+    }
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    guessed = guess_mapping(tmp_path / "log.csv")
+    run = read_log(tmp_path / "log.csv", guessed.meaning)
+    np.testing.assert_allclose(run.channels["x"], t, rtol=0.01, atol=0.05)
+    np.testing.assert_allclose(run.channels["y"], 2 * t, rtol=0.01, atol=0.05)
+    (thrust,) = (g for g in guessed.columns if g.channel == "thrust")
+    assert thrust.entry["unit"] == "N"
+
+
 def _with_quaternions(**columns: np.ndarray) -> pl.DataFrame:
     """A vehicle that turns by 0.02 rad/s at 1 m/s; each quaternion is of the heading that is given."""
     t = np.arange(0.0, 60.0, 0.1)

@@ -486,6 +486,11 @@ def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
     return tuple(found) if all(found) else ()
 
 
+def is_on_globe(name: str) -> bool:
+    """Whether a column is called a latitude or a longitude."""
+    return bool({*_GLOBE[0], *_GLOBE[1]} & {*Name.of(name).words})
+
+
 def position_axes(mapping: LogMapping) -> str:
     """ "NED" or "ENU" where the names of its columns say it of the position in a log, else ""."""
     # They do if both names have the word, or if one has that for north and the other that for east.

@@ -31,6 +31,7 @@ from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
 from .dates import DATE, as_iso
+from .hemispheres import with_signs
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -503,7 +504,7 @@ def _cast(column: pl.Series, mapping: LogMapping) -> tuple[pl.Series, pl.Series]
     cast = cells.cast(pl.Float64, strict=False)
     if not (cast.is_null() & column.is_not_null()).any():
         return cast, pl.Series(dtype=pl.UInt32)
-    cells = _stripped(cells)  # the slow way only where it is needed
+    cells = with_signs(_stripped(cells))  # the slow way only where it is needed
     bare = cells.str.extract(_WITH_UNIT, 1) if _unit_of(cells) else cells
     bare = bare.str.replace("(?i)^true$", "1").str.replace("(?i)^false$", "0")
     cast = bare.cast(pl.Float64, strict=False)
@@ -530,7 +531,9 @@ def _stripped(cells: pl.Series) -> pl.Series:
 def unit_of_cells(table: pl.DataFrame, name: str, mapping: LogMapping) -> str:
     """The unit that every cell of a column states behind its number ("1.76V"); "" where none does."""
     column = _as_text(table[name])
-    return _unit_of(_stripped(_with_points(column, mapping))) if column.dtype == pl.String else ""
+    if column.dtype != pl.String:
+        return ""
+    return _unit_of(with_signs(_stripped(_with_points(column, mapping))))
 
 
 def in_unit_of_cells(
