@@ -72,6 +72,19 @@ def test_times_that_a_logger_wrote_before_each_sentence_come_first(
     assert any("magnetic" in remark for remark in log.remarks) == (added == 0.0)
 
 
+def test_sentences_in_the_messages_of_a_program_have_its_times(tmp_path: Path) -> None:
+    """Its first lines are no sentences; each of the others has a time, and what wrote it."""
+    lines = [f"2024-05-01 12:00:00.{k}00 | INFO | main:1 - waiting for a receiver" for k in range(5)]
+    for k in range(30):
+        lines.append(f"2024-05-01 12:00:{k:02}.250 | DEBUG | main:9 - {_line(f'HEHDT,{170.0 + k:.1f},T')}")
+    (tmp_path / "run.txt").write_text("\n".join(lines))
+    log = read_field_log(tmp_path / "run.txt")
+    assert log.format == "NMEA 0183"
+    run = read_log(tmp_path / "run.txt")
+    np.testing.assert_allclose(run.t, np.arange(30.0), atol=1e-6)
+    np.testing.assert_allclose(np.degrees(run.channels["psi"]), 170.0 + np.arange(30.0), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -17,6 +17,7 @@ Tables of one run, each on its own clock, are merged into one, with empty cells 
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
@@ -92,7 +93,8 @@ def import_(
     if guessed:
         show_guesses(guessed, found.path)
     say(f"the meaning of the columns is in {beside}: correct it there if it is wrong")
-    say(f"then: undertow doctor {vehicle or 'VEHICLE'} {target} --map {beside}")
+    files = shlex.join([str(vehicle or "VEHICLE"), str(target), "--map", str(beside)])
+    say(f"then: undertow doctor {files}")
 
 
 def _row(series: Series) -> tuple[str, ...]:

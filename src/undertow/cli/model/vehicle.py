@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -282,7 +283,7 @@ def _of_log(log: Path, out: Path | None, force: bool) -> None:
         found = read_field_log(log)
     write_whole(target, vehicle_text(found, target.stem))
     say(f"wrote {target}; commands are outputs of motors from -1 to 1, as undertow reads them from the log")
-    say(f"then: undertow doctor {target} {log}")
+    say(f"then: undertow doctor {shlex.join(map(str, (target, log)))}")
 
 
 def _of_tank(root: Path | None, name: str | None, out: Path | None, force: bool) -> None:

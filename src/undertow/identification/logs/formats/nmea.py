@@ -38,6 +38,9 @@ _CLOCKS = {"RMC": 1, "GGA": 1, "GLL": 5, "ZDA": 1}
 _VALID = {"RMC": (2, "A"), "GLL": (6, "A"), "GGA": (6, "12345678"), "RSA": (2, "A")}
 _SENTENCE = re.compile(r"^([^$,;]*[,;\s])?\$([A-Z]{2})([A-Z]{3}),([^*]*)(?:\*([0-9A-Fa-f]{2}))?\s*$")
 _WHOLE = re.compile(rb"(?m)^[^$,;\n]*[$][A-Z]{5},[^\n]*\*[0-9A-Fa-f]{2}\s*$")
+# Beside the time, programs that log write the module and the importance of a message.
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+_BEGIN = 4096  # bytes by which a file is recognised, since its first lines may be the logger's
 # Likelier first; the first that is there is read.
 _HEADINGS = ("HDT", "THS", "HDG", "HDM")
 _POSITIONS = ("RMC", "GGA", "GLL")
@@ -130,7 +133,8 @@ def _times(found: Sequence[Sentence], path: Path) -> np.ndarray:
     """Times, s: those of the logger where every line has one, else those in the sentences."""
     stamps = [before for _, _, before in found]
     if found and all(stamps):
-        return seconds(pl.DataFrame({"t": stamps}), "t", f"log {path}")[0]
+        dates = [date[0] if (date := _DATE.search(stamp)) else stamp for stamp in stamps]
+        return seconds(pl.DataFrame({"t": dates}), "t", f"log {path}")[0]
     own = np.array([_time_of_day(kind, fields) for kind, fields, _ in found])
     there = np.isfinite(own)
     if not there.any():
@@ -164,7 +168,11 @@ def _spread(kinds: Sequence[str], own: np.ndarray) -> Iterator[float]:
 
 
 def _accepts(path: Path, head: bytes) -> bool:
-    return 2 * len(_WHOLE.findall(head)) > head.count(b"\n") > 0
+    if not _WHOLE.search(head):
+        return False
+    with path.open("rb") as stream:
+        begin = stream.read(_BEGIN)
+    return 2 * len(_WHOLE.findall(begin)) > begin.count(b"\n") > 0
 
 
 FORMAT = Format("NMEA 0183", (".nmea", ".txt"), _accepts, _read, 100_000_000)
