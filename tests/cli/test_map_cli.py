@@ -210,6 +210,15 @@ def test_a_table_without_a_clock_is_refused_in_one_line(
     assert not (case / "log.toml").exists()
 
 
+@pytest.mark.parametrize(("rows", "count"), [("", "no row"), ("0,1,2\n", "1 row")])
+def test_a_table_that_ends_below_its_header_is_refused_for_that(
+    rows: str, count: str, tmp_path: Path
+) -> None:
+    (tmp_path / "own.csv").write_text("t,u,v\n" + rows)
+    with pytest.raises(UndertowError, match=f"has {count} below its header: check that the log is complete"):
+        guess_mapping(tmp_path / "own.csv")
+
+
 @pytest.mark.parametrize(
     ("column", "channel", "unit"),
     [

@@ -235,6 +235,9 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
         key=lambda n: (n not in named, n not in fine, table[n].null_count(), not is_clock(n)),
         default=None,
     )
+    if found is None and table.height < 2:
+        count = f"{table.height} row" if table.height == 1 else "no row"
+        raise UndertowError(f"{where} has {count} below its header: check that the log is complete")
     if found is None:
         reason = next((_no_dates(table, n, where) for n in texts), f"{where}: {_no_time(data)}")
         raise UndertowError(f"{reason}: its columns are {', '.join(table.columns)}")
