@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import run_of, vehicle_of
 from undertow.identification.doctor.clocks import latencies
+from undertow.identification.doctor.examine import examine
 from undertow.identification.doctor.kinematics import Kinematics
 from undertow.identification.logs.run import Run
 from undertow.model.symbols import POSE, VELOCITY
@@ -48,3 +49,45 @@ def test_a_delay_lies_within_two_standard_errors_in_nineteen_of_twenty_logs() ->
     assert len(off) > 40
     assert np.mean(np.abs(off) < 2.0) > 0.88
     assert np.sqrt(np.mean(np.square(off))) < 1.3
+
+
+def _one_turn(rate_ahead: float, heading_late: float, seed: int = 0) -> Run:
+    """A minute at 10 Hz with one turn of 25 degrees, after a burst of thrust; u, v and psi agree with x, y
+    but for a heading that is late. The yaw rate is that of so many seconds later, and rises more steeply.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.1)
+
+    def turned(at: np.ndarray, steep: float) -> np.ndarray:
+        return np.asarray(1.0 - 0.01 * at + 0.42 / (1.0 + np.exp(-steep * (at - 33.0))))
+
+    def going(start: float, gone: float) -> np.ndarray:
+        """Speed up from `start` on, and slowing down once the thrust has ended after 7 s."""
+        rise = 1.0 - np.exp(-np.clip(t - start, 0.0, 7.0) / 0.7)
+        return np.asarray(rise * np.exp(-np.clip(t - start - 7.0, 0.0, None) / gone))
+
+    psi, u, v = turned(t, 0.45), 2.3 * going(24.0, 4.0), -0.3 * going(26.0, 6.0)
+    north, east = u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)
+    r = np.gradient(turned(t + rate_ahead, 0.45 + 0.05 * rate_ahead), t)
+    motion = {"x": np.cumsum(north) * 0.1, "y": np.cumsum(east) * 0.1, "u": u, "v": v, "r": r}
+    motion["psi"] = turned(t - heading_late, 0.45)
+    noise = {"x": 0.003, "y": 0.003, "psi": 2e-5, "u": 5e-4, "v": 5e-4, "r": 1e-5}
+    noisy = {n: y + noise[n] * rng.standard_normal(len(t)) for n, y in motion.items()}
+    pushed = np.where((t > 24.0) & (t < 31.0), 30.0, 0.0)
+    return run_of("turn", {"t": t, **noisy, "f1": pushed, "f2": 0.0 * pushed, "f3": 0.0 * pushed})
+
+
+def test_a_heading_that_the_position_shows_to_be_in_time_is_not_late() -> None:
+    # By rate and heading alone it would be late by 3.8 s; turned by the heading as it was 3.8 s later, the
+    # velocities would no longer be those with which the position changes.
+    vehicle = vehicle_of(make_case("usv", (), 0, duration=20.0, runs=("steps",)))
+    found = {f.id for f in examine(vehicle, [_one_turn(3.9, 0.0)]).result.findings}
+    assert not found & {"late_pose", "late_velocity", "latencies", "velocity_sensor"}
+    assert "inconsistent" in found
+
+
+@pytest.mark.parametrize("late", [1.5, 3.9])
+def test_a_heading_that_is_late_for_the_position_too_is_late(late: float) -> None:
+    vehicle = vehicle_of(make_case("usv", (), 0, duration=20.0, runs=("steps",)))
+    found = {f.id: f for f in examine(vehicle, [_one_turn(0.0, late)]).result.findings}
+    assert found["late_pose"].text.startswith("psi is")
+    assert found["late_pose"].evidence["delay"] == pytest.approx(late, abs=0.02)

@@ -21,7 +21,15 @@ from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
 from .kinematics import Kinematics, Samples, Segment
 from .mistakes import Undo, names_with_verb, with_channels
-from .sensors import LATE_COURSE, Sensor, clustered_least_squares, fit_sensor, regressor_of, sensors
+from .sensors import (
+    LATE_COURSE,
+    Sensor,
+    clustered_least_squares,
+    fit_sensor,
+    regressor_of,
+    sensors,
+    spoils,
+)
 from .sensors import SETTINGS as SENSORS
 
 _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
@@ -32,7 +40,7 @@ _SOURCES = (POSE[:3], POSE[3:], VELOCITY[:3], VELOCITY[3:])
 class ClockSettings:
     """Thresholds for clock differences."""
 
-    rounds: int = 5  # Gauss-Newton steps for velocities
+    rounds: int = 8  # Gauss-Newton steps for sources
     converged: float = 0.02  # change, in sampling steps, that ends them
     certain: float = 5.0  # standard errors of a shift of a source
     steps: float = 0.5  # sampling steps below which such a shift does not matter
@@ -89,13 +97,15 @@ def _confirmed(kinematics: Kinematics, runs: Sequence[Run], found: list[Latency]
     # velocities are hardly related even without it, no clock is to blame.
     clear = [one for one in found if one.clear(runs[0].step)]
     weight = kinematics.rates(runs).weight
-
-    def misfit(chosen: Sequence[Latency]) -> float:
+    before = kinematics.mismatch(runs)
+    choices, misfits = [], []
+    for chosen in (c for size in range(len(clear) + 1) for c in combinations(clear, size)):
         rates = kinematics.rates(without_latencies(runs, chosen))
-        return float(np.sum(((rates.pose - rates.velocity) * weight) ** 2))
-
-    choices = [c for size in range(len(clear) + 1) for c in combinations(clear, size)]
-    left = np.array([misfit(c) for c in choices])
+        # A heading that is late is late for the position, too: agreement there says that it is not.
+        if not chosen or not np.any(spoils(before, kinematics.mismatch_of(rates))):
+            choices.append(chosen)
+            misfits.append(float(np.sum(((rates.pose - rates.velocity) * weight) ** 2)))
+    left = np.array(misfits)
     each = SETTINGS.certain**2 * max(1.0, float(left.min()) / weight.size)
     best = choices[int(np.argmin(left + each * np.array([len(c) for c in choices])))]
     after = kinematics.mismatch(without_latencies(runs, best))
@@ -151,8 +161,10 @@ def _delays(
         free = [i for i in range(count) if i != j]
         change, spread = clustered_least_squares(np.delete(slopes, j, axis=1), -here, size)
         value[free, j] = found[free] - found[j] + change[: count - 1]
-        error[free, j] = spread[: count - 1]
-    return value, error
+        # Where the search has not ended, the step that it would still take is a measure of the error.
+        error[free, j] = np.hypot(spread, change)[: count - 1]
+    # The time between two sources is the same whichever of them is moved.
+    return value, np.maximum(error, error.T)
 
 
 def _advanced(run: Run, sources: Sequence[tuple[str, ...]], delays: Array) -> Run:

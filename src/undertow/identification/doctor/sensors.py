@@ -304,6 +304,12 @@ def explains(before: Mismatch, after: Mismatch) -> bool:
     return bool(np.any(wrong & gone) and not np.any(worse))
 
 
+def spoils(before: Mismatch, after: Mismatch) -> np.ndarray:
+    """Blocks in which pose rates and velocities agree clearly less than before, if still well."""
+    shows = (after.excess > SETTINGS.reported) & (after.share > SETTINGS.over_noise * after.floor)
+    return shows & (after.excess > SETTINGS.decisive * before.excess)
+
+
 def still_good(excess: float | Array) -> float | Array:
     """The mismatch up to which nothing got worse, by that before."""
     return SETTINGS.worse * excess + SETTINGS.worse_by
