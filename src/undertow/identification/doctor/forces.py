@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -95,8 +95,32 @@ class Forces:
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle, self.functions = vehicle, Functions(vehicle)
         self.p = np.array(self.functions.values(), dtype=float)
-        self.mass = _mass_matrix(self.functions, self.p)
+        self._mass_at = _mass_matrix(self.functions)
+        self.mass = self._mass_at(self.p)
         self.chain = ActuatorStates(self.functions, ())
+
+    @cached_property
+    def _spread_of_inertia(self) -> Array:
+        """Standard deviation of the inertia of every motion by what the file says of its parameters, (n,)."""
+        total = np.zeros(len(self.mass))
+        for place, name in enumerate(self.functions.parameter_names):
+            if sigma := self.vehicle.value_of(name).sigma:
+                other = self.p.copy()
+                other[place] += sigma
+                total += np.diag(self._mass_at(other) - self.mass) ** 2
+        return np.sqrt(total)
+
+    def known_within(self, row: int, acting: Sequence[int]) -> tuple[float, float]:
+        """Inertia over force of a unit command, at least and at most, as shares of what the file has."""
+        vehicle, stated = self.vehicle, PLAUSIBLE.stated
+        body = vehicle.values[_INERTIA[vehicle.dof_indices[row]]]
+        own, off = self.mass[row, row], stated * self._spread_of_inertia[row]
+        # Added mass does not make a body lighter.
+        least = max(own - off, body.value - stated * (body.sigma or 0.0))
+        gains = [vehicle.thrusters[k].thrust_per_command for k in acting if k < len(vehicle.thrusters)]
+        thrust = max((stated * (g.sigma or 0.0) / abs(g.value) for g in gains if g.value), default=0.0)
+        most = (own + off) / own / (1.0 - thrust) if thrust < 1.0 else np.inf
+        return float(np.clip(least / own, 0.0, 1.0) / (1.0 + thrust)), float(most)
 
     def table(self, runs: Sequence[Run], samples: int) -> ForceTable | None:
         """The table of so many samples of logs, the most active; None where they are too short."""
@@ -194,13 +218,12 @@ def orthogonal_to(others: Array, columns: Array) -> Array:
     return np.asarray(columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-10)[0])
 
 
-def _mass_matrix(functions: Functions, p: Array) -> Array:
-    """M at the values of the file, in the vehicle's upright pose where it depends on that."""
+def _mass_matrix(functions: Functions) -> Callable[[Array], Array]:
+    """M by the parameters, in the vehicle's upright pose where it depends on that."""
     arguments = [functions.x, functions.u, functions.p, functions.t, functions.actuation]
     evaluate = ca.Function("mass", arguments, [functions.mass_matrix], {"allow_free": False})
     zeros = [np.zeros(a.shape) for a in arguments]
-    zeros[2] = p
-    return np.array(evaluate(*zeros), dtype=float)
+    return lambda p: np.array(evaluate(*zeros[:2], p, *zeros[3:]), dtype=float)
 
 
 # --- what is impossible, whatever the physics -----------------------------------------------------
@@ -221,6 +244,8 @@ class Response:
     # needed, given: inertial and commanded force or moment, rms, N or N m.
     needed: float
     given: float
+    # The gain may be this much smaller or larger for what is not known of inertia and thrust.
+    known_within: tuple[float, float] = (1.0, 1.0)
 
     def is_certain(self, errors: float, share: float) -> bool:
         """Whether the gain exceeds its error, and the command explains part of the motion."""
@@ -245,18 +270,21 @@ def _responses(forces: Forces, runs: Sequence[Run]) -> Iterator[Response]:
         force = table.force[:, row]
         if len(force) < 2 * (others.shape[1] + len(acting)) or not acting or not np.any(force):
             continue
-        motion = vehicle.degrees_of_freedom[row]
+        motion, known = vehicle.degrees_of_freedom[row], forces.known_within(row, acting)
         if len(acting) > 1:
-            yield from _compared(motion, force, others, {"": given[:, acting].sum(axis=1)})
-        yield from _compared(motion, force, others, {vehicle.command_names[k]: given[:, k] for k in acting})
+            yield from _compared(motion, force, others, {"": given[:, acting].sum(axis=1)}, known)
+        each = {vehicle.command_names[k]: given[:, k] for k in acting}
+        yield from _compared(motion, force, others, each, known)
 
 
-def _compared(motion: str, force: Array, others: Array, commands: dict[str, Array]) -> Iterator[Response]:
+def _compared(
+    motion: str, force: Array, others: Array, commands: dict[str, Array], known: tuple[float, float]
+) -> Iterator[Response]:
     """Force of one motion against that of commands, beside what else may act."""
     own = orthogonal_to(others, np.column_stack([force, *commands.values()]))
     found = zip(*_fitted(own[:, 1:], own[:, 0]), strict=True)
     for k, (name, (gain, error, share)) in enumerate(zip(commands, found, strict=True), 1):
-        yield Response(motion, name, float(gain), float(error), float(share), *_sizes(own, k))
+        yield Response(motion, name, float(gain), float(error), float(share), *_sizes(own, k), known)
 
 
 def _sizes(own: Array, command: int) -> tuple[float, float]:
@@ -361,7 +389,8 @@ class _PlausibilityCheck:
         return [mistake for _, mistake in sorted(found, key=lambda pair: pair[0])]
 
     def _possible(self, r: Response) -> bool:
-        return self.settings.weakest < abs(r.gain) < self.settings.strongest
+        least, most = r.known_within
+        return self.settings.weakest < abs(r.gain) * most and abs(r.gain) * least < self.settings.strongest
 
     def without(self, mistake: Mistake) -> list[Run]:
         return [rederived(run, mistake.undo) for run in self.runs]
@@ -563,8 +592,9 @@ def scaled_commands(names: tuple[str, ...], found: float) -> Mistake:
 def _force_text(r: Response, settings: PlausibilitySettings) -> str:
     what = f"command {r.command} gives" if r.command else "the commands give"
     unit = "N" if r.degree_of_freedom in ("surge", "sway", "heave") else "N m"
-    ratio, limit = f"{abs(r.gain):.3g} of what {what}", f"at least {settings.weakest:g}"
+    least, most = settings.weakest / r.known_within[1], settings.strongest / r.known_within[0]
+    ratio, limit = f"{abs(r.gain):.3g} of what {what}", f"at least {least:.3g}"
     if abs(r.gain) > 1:
-        ratio, limit = f"{abs(r.gain):.3g} times what {what}", f"at most {settings.strongest:g}"
+        ratio, limit = f"{abs(r.gain):.3g} times what {what}", f"at most {most:.3g}"
     forces = f"{r.needed:.3g} {unit} against {r.given:.3g} {unit} rms"
     return f"the {r.degree_of_freedom} of the log needs {ratio} ({forces}; {limit} can be)"

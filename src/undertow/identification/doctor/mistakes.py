@@ -167,6 +167,7 @@ class PlausibilitySettings:
     # Force that the motion needs over the one commanded from which the doctor asks for the unit; weak
     # thrusters and added mass that is held too small stay below.
     doubtful: float = 2.5
+    stated: float = 2.0  # standard deviations by which inertia and thrust in the vehicle file may be off
     unit_tolerance: float = 1.25  # factor within which a unit must explain that
     near: float = 4.0  # factor within which the two must agree once a mistake is undone
     errors: float = 8.0  # standard errors by which a gain stands out of its scatter
