@@ -242,6 +242,27 @@ def test_a_channel_that_stands_still_does_not_blur_the_others():
     assert 0.0 < beside.resolution == pytest.approx(alone.resolution)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_channel_of_mere_noise_does_not_blur_the_others_nor_hide_what_it_may_contain(seed: int) -> None:
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.1)
+    z = 1.0 + 0.5 * np.sin(0.8 * t) + 0.2 * np.sin(2.1 * t) + 2e-3 * rng.standard_normal(len(t))
+    rolling, noise = 2e-3 * np.sin(3.0 * t), 0.02 * rng.standard_normal(len(t))
+    alone = velocities_from_pose(Run("log", t, {"z": z}), ("heave",))
+    beside = velocities_from_pose(Run("log", t, {"z": z, "phi": rolling + noise}), ("heave", "roll"))
+    assert 0.0 < beside.resolution == pytest.approx(alone.resolution)
+    off = (beside.channels["p"] - 6e-3 * np.cos(3.0 * t)) / beside.sigma["p"]
+    assert np.sqrt(np.mean(off[50:-50] ** 2)) < 1.6  # of its uncertainty
+
+
+def test_a_slow_motion_that_shows_still_decides() -> None:
+    rng, t = np.random.default_rng(0), np.arange(0.0, 120.0, 0.1)
+    z = 1.0 + 0.5 * np.sin(0.8 * t) + 0.2 * np.sin(2.1 * t) + 2e-3 * rng.standard_normal(len(t))
+    phi = 0.3 * np.sin(0.2 * t) + 0.03 * rng.standard_normal(len(t))
+    alone = velocities_from_pose(Run("log", t, {"z": z}), ("heave",))
+    beside = velocities_from_pose(Run("log", t, {"z": z, "phi": phi}), ("heave", "roll"))
+    assert beside.resolution > 1.5 * alone.resolution
+
+
 def test_a_pose_that_never_moves_has_no_velocity():
     t = np.arange(0, 10, 0.1)
     still = velocities_from_pose(Run("moored", t, dict.fromkeys(("x", "y", "psi"), np.ones_like(t))))

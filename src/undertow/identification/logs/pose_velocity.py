@@ -70,6 +70,10 @@ class SmootherSettings:
     uncertain: float = 10.0  # times the median standard deviation: such a rate is discarded
     fewest: int = 10  # samples of a pose channel
     still: float = 1e-9  # change of a channel, as a share of its size, that is rounding
+    # Standard deviations that a rate exceeds in some share of the samples where a channel shows motion: noise
+    # alone exceeds 2.3 of them in that share.
+    shown: float = 3.0
+    shown_share: float = 0.02
 
 
 SETTINGS = SmootherSettings()
@@ -234,6 +238,23 @@ class Track:
     # Time constant of the smoother in s: its gain for a sine of angular frequency w is 1 / (1 + (w
     # resolution)^6).
     resolution: float
+    signal: _Signal  # the samples that were smoothed
+
+    @property
+    def shows_motion(self) -> bool:
+        """Whether the rate stands out of its own uncertainty."""
+        known = np.isfinite(self.rate)
+        if not known.any():
+            return False
+        size = np.abs(self.rate[known]) / np.maximum(self.rate_sd[known], np.finfo(float).tiny)
+        return bool(np.quantile(size, 1.0 - SETTINGS.shown_share) > SETTINGS.shown)
+
+    def no_slower(self, resolution: float, y: Array) -> Track:
+        """The same of samples y with a time constant of at most so many s, and more noise in the rate."""
+        if not self.resolution > resolution:
+            return self
+        ratio = (_median_step(self.signal.t) / resolution) ** (2 * ORDER)
+        return _track_of(self.signal, y, ratio, self.noise**2, self.signal.smoothed(ratio)[0])
 
     def shifts(self, t: Array, reports: Array) -> Array:
         """Size of every shift, and the seconds since the report before, (k, 2)."""
@@ -329,7 +350,12 @@ def track(t: Array, y: Array) -> Track:
             break
         if not changed:
             break
-    step = _median_step(t)
+    return _track_of(signal, y, ratio, variance, state)
+
+
+def _track_of(signal: _Signal, y: Array, ratio: float, variance: float, state: States) -> Track:
+    """What is known of samples y once the accepted ones of them are smoothed."""
+    step = _median_step(signal.t)
     spread = np.sqrt(variance * np.maximum(np.diagonal(state.covariance, axis1=-2, axis2=-1), 0.0))
     rate, rate_sd = state.mean[:, 1] / step, spread[:, 1] / step
     unknown = ~(rate_sd <= SETTINGS.uncertain * np.nanmedian(rate_sd))
@@ -345,6 +371,7 @@ def track(t: Array, y: Array) -> Track:
         signal.lost(),
         float(np.sqrt(variance)),
         step * ratio ** (-1 / (2 * ORDER)),
+        signal,
     )
 
 
@@ -442,7 +469,7 @@ def velocities_from_pose(run: Run, degrees_of_freedom: Iterable[str] = ("surge",
     lacking = [VELOCITY[DOFS.index(name)] for name in wanted if not run.has(VELOCITY[DOFS.index(name)])]
     if not lacking:
         return run
-    tracks = {name: _tracked(run, name) for name in _needed_pose(run, wanted, lacking)}
+    tracks = _all_tracked(run, _needed_pose(run, wanted, lacking))
     rates, spread = _body_rates(run, tracks)
     pose = {name: np.where(one.outlier, np.nan, run.reports(name)) for name, one in tracks.items()}
     run = with_reports(run, pose)
@@ -483,6 +510,16 @@ def _needed_pose(run: Run, wanted: list[str], lacking: list[str]) -> list[str]:
             'which motions a rig holds (held = ["sway"] in a mapping file)'
         )
     return [name for name in POSE if name in needed or (name in of_asked and run.has(name))]
+
+
+def _all_tracked(run: Run, names: Iterable[str]) -> dict[str, Track]:
+    """Tracks of pose channels; those that show no motion are smoothed no longer than the others."""
+    # The likeliest smoother of mere noise is as slow as it gets, and would decide what a log with it can
+    # show of the motion of the others. What it might hide is in the uncertainty of a quicker one.
+    tracks = {name: _tracked(run, name) for name in names}
+    still = [n for n, one in tracks.items() if _moves(run.channels[n]) and not one.shows_motion]
+    slowest = max((one.resolution for one in tracks.values() if one.shows_motion), default=np.inf)
+    return tracks | {name: tracks[name].no_slower(slowest, run.reports(name)) for name in still}
 
 
 def _tracked(run: Run, name: str) -> Track:
