@@ -50,8 +50,9 @@ from .guess_names import (
     with_axes,
     with_sides,
 )
-from .guess_places import fixes_in, two_places
+from .guess_places import fixes_in, no_degrees, two_places
 from .guess_text import numbers_of, whole_table
+from .hemispheres import letters_beside
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
 from .table import joined_rows, texts_in, unit_of_cells
@@ -65,7 +66,6 @@ class GuessSettings:
     turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
     spin: float = 6.0  # a turning rate beyond this is in degrees: one turn a second is the most in water
-    globe: float = 180.0  # no latitude or longitude is larger, degrees
     still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
     flagged: float = 0.9  # share of new values that a flag must announce
@@ -132,7 +132,7 @@ def guess_table(
     axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
     read = _rates_by_heading(read, names, data, (t, (known | attitude).get("psi")), axes)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
-    read += _by_fixes(globe, place, data, flags)
+    read += _by_fixes(globe, place, data, flags, letters_beside(table))
     read = [in_axes(g, axes) for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
     read += _driven(driving, data, vehicle)
     engine = _buoyancy_engine([n for n in full if n.column not in dead], vehicle)
@@ -140,7 +140,7 @@ def guess_table(
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
-    questions += two_places(known, data, dead) + _on_flags(flag for flag in flags if flag not in used | dead)
+    questions += two_places(known, globe, data, dead) + _on_flags(f for f in flags if f not in used | dead)
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
@@ -150,7 +150,7 @@ def guess_table(
         time,
         tuple(read),
         axes,
-        _ignored(table.columns, used, names, dead, only, foreign, (_no_degrees(data), rotation)),
+        _ignored(table, used, names, dead, only, foreign, (no_degrees(data), rotation)),
         reading,
         (*questions, *gaps),
     )
@@ -276,9 +276,12 @@ def _by_fixes(
     place: Mapping[str, tuple[str, Array]],
     data: Mapping[str, Array],
     flags: Mapping[str, Array],
+    letters: Mapping[str, str],
 ) -> list[Guess]:
-    """Entries of the place that latitude and longitude give."""
+    """Entries of the place that latitude and longitude give, signed by columns of `letters`."""
     unit = unit_of_place(*(data[n] for n in globe)) if globe else ""
+    signed = [f"'{letters[n]}'" for n in globe if n in letters]
+    unit += f", south and west by the letters in {' and '.join(signed)}" if signed else ""
     unit += "" if not globe or latitude_and_longitude(globe) else f", '{globe[0]}' the latitude"
     doubt = _FIXES.format(unit) if globe else ""
     fixes = _computed(globe, {channel: formula for channel, (formula, _) in place.items()}, "m", doubt)
@@ -631,14 +634,8 @@ def _quantities() -> dict[str, str]:
     return {d.name: d.about for cls in catalogue().values() for d in logged(cls)}
 
 
-def _no_degrees(data: Mapping[str, Array]) -> tuple[str, ...]:
-    """Latitude and longitude, where one of them is beyond half a turn."""
-    found = latitude_and_longitude(data)
-    return found if any(np.nanmax(np.abs(data[n]), initial=0.0) > SETTINGS.globe for n in found) else ()
-
-
 def _ignored(
-    columns: Sequence[str],
+    table: pl.DataFrame,
     used: set[str],
     names: Sequence[Name],
     dead: set[str],
@@ -650,10 +647,11 @@ def _ignored(
     # `foreign` are channels that the vehicle does not have, `other` columns of places that are not in
     # degrees, and of quaternions.
     no_degrees, rotation = other
+    columns, letters = table.columns, letters_beside(table).values()
     found: dict[str, list[str]] = {}
     by_column = {name.column: name for name in names}
     for column in columns:
-        if column in used:
+        if column in used or column in letters:
             continue
         name = by_column.get(column, Name.of(column))
         if column not in by_column and column not in rotation:

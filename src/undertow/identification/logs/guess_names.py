@@ -144,7 +144,12 @@ _OF_CLOCKS = {
     "mins": "min", "minutes": "min", "h": "h", "hr": "h", "hrs": "h", "hour": "h", "hours": "h",
     "day": "day", "days": "day",
 }  # fmt: skip
-_GLOBE = ({"lat", "latitude"}, {"lon", "lng", "long", "longitude"})
+# English and French, Italian, Spanish, Portuguese, German.
+_GLOBE = (
+    {"lat", "latitude", "latitudine", "latitud", "breite", "breitengrad"},
+    {"lon", "lng", "long", "longitude", "longitudine", "longitud", "laenge", "laengengrad"},
+)
+_ACCENTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
 _NORTH, _EAST = {"north", "northing", *_GLOBE[0]}, {"east", "easting", *_GLOBE[1]}
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
@@ -181,7 +186,7 @@ class Name:
         """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
         rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
-        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest)
+        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest.translate(_ACCENTS))
         words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
         words = [w[:-1] if re.fullmatch("[xyz]0", w) else w for w in words]  # of earth-fixed axes
         words = re.sub(r"\brate of turn\b", "rot", " ".join(words)).split()
@@ -479,16 +484,28 @@ def rows_by_number(names: Iterable[str]) -> list[list[str]]:
 
 def latitude_and_longitude(columns: Iterable[str]) -> tuple[str, ...]:
     """The first columns that are called latitude and longitude; () where one of them is missing."""
+    return next(iter(places_called_so(columns)), ())
+
+
+def places_called_so(columns: Iterable[str]) -> list[tuple[str, str]]:
+    """Pairs of columns that are called latitude and longitude, and alike in their other words."""
     # Those of a place that is given, as of an origin, are not where the vehicle is.
-    known = [(column, {*Name.of(column).words}) for column in columns]
-    known = [(column, words) for column, words in known if not words & {"origin", "home", *WANTED}]
-    found = [next((c for c, words in known if words & called), "") for called in _GLOBE]
-    return tuple(found) if all(found) else ()
+    words = {column: {*Name.of(column).words} for column in columns}
+    known = [c for c, own in words.items() if not own & {"origin", "home", *WANTED}]
+    north, east = ([c for c in known if words[c] & called] for called in _GLOBE)
+    alike = [(a, b) for a in north for b in east if words[a] - _GLOBE[0] == words[b] - _GLOBE[1]]
+    return alike or [*zip(north[:1], east[:1], strict=False)]
 
 
 def is_on_globe(name: str) -> bool:
     """Whether a column is called a latitude or a longitude."""
-    return bool({*_GLOBE[0], *_GLOBE[1]} & {*Name.of(name).words})
+    return kind_on_globe(name) is not None
+
+
+def kind_on_globe(name: str) -> int | None:
+    """0 for a column that is called a latitude, 1 for a longitude, None for any other."""
+    words = {*Name.of(name).words}
+    return next((kind for kind, called in enumerate(_GLOBE) if words & called), None)
 
 
 def position_axes(mapping: LogMapping) -> str:

@@ -10,14 +10,17 @@ import numpy as np
 from undertow.typing import Array
 
 from .guess_clock import are_degrees
-from .guess_frames import least_unexplained_shares, place_of
-from .guess_names import Name, latitude_and_longitude
+from .guess_frames import in_degrees, least_unexplained_shares, place_of
+from .guess_names import Name, latitude_and_longitude, places_called_so
+from .mapping import metres_per_degree
 
 
 @dataclass(frozen=True)
 class PlaceSettings:
     """Settings for telling latitude from longitude, and whether two places are the same."""
 
+    pole: float = 90.0  # degrees
+    globe: float = 180.0  # no latitude or longitude is larger, degrees
     polar_latitude: float = 72.0  # degrees, beyond which few vehicles are
     # Two places contradict each other if they are farther apart than this share of the way, and than fixes
     # scatter, m.
@@ -61,7 +64,20 @@ def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: A
     return min(((y, x), (x, y)), key=unlikely)
 
 
-def two_places(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[str]) -> list[str]:
+def two_places(
+    known: Mapping[str, Array], globe: Sequence[str], data: Mapping[str, Array], dead: set[str]
+) -> list[str]:
+    """Questions where columns give another place than those that are used: metres, or `globe`."""
+    return [*_beside_metres(known, data, dead), *_beside_globe(globe, data, dead)]
+
+
+def no_degrees(data: Mapping[str, Array]) -> tuple[str, ...]:
+    """Latitude and longitude, where one of them is beyond half a turn."""
+    found = latitude_and_longitude(data)
+    return found if any(np.nanmax(np.abs(data[n]), initial=0.0) > SETTINGS.globe for n in found) else ()
+
+
+def _beside_metres(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[str]) -> list[str]:
     """A question where x and y (m) lead elsewhere than latitude and longitude of the same log."""
     globe = latitude_and_longitude([c for c in data if c not in dead])
     other = place_of(*((n, data[n]) for n in globe)) if globe and {"x", "y"} <= known.keys() else {}
@@ -79,3 +95,26 @@ def two_places(known: Mapping[str, Array], data: Mapping[str, Array], dead: set[
     return [
         f"x and y lead away from their first place by {sizes}: in what unit are they, and which is right?"
     ]
+
+
+def _beside_globe(globe: Sequence[str], data: Mapping[str, Array], dead: set[str]) -> list[str]:
+    """A question where other columns of latitude and longitude are farther away than fixes scatter."""
+    away = {}
+    for pair in places_called_so(c for c in data if c not in dead) if globe else []:
+        far = 0.0 if {*pair} & {*globe} else _apart(globe, pair, data)
+        if far > SETTINGS.scatter_of_fixes:
+            away[pair] = far
+    if not away:
+        return []
+    others = "; ".join(f"{' and '.join(pair)}, {far:.3g} m away" for pair, far in away.items())
+    return [f"{' and '.join(globe)} give the place; so do {others}: which are those of the vehicle?"]
+
+
+def _apart(globe: Sequence[str], other: Sequence[str], data: Mapping[str, Array]) -> float:
+    """Median distance of two places, m; 0 where they are nowhere known both."""
+    (lat, lon), (north, east) = (in_degrees(*((n, data[n]) for n in pair)) for pair in (globe, other))
+    known = np.isfinite(lat) & np.isfinite(lon) & np.isfinite(north) & np.isfinite(east)
+    if not known.any() or not np.nanmax(np.abs([lat[known], north[known]])) <= SETTINGS.pole:
+        return 0.0
+    sizes = metres_per_degree(float(lat[known][0]))
+    return float(np.median(np.hypot((north - lat)[known] * sizes[0], (east - lon)[known] * sizes[1])))

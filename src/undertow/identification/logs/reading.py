@@ -39,6 +39,7 @@ from undertow.typing import Array, Flags, Index, Progress
 
 from . import opening
 from .formats.fieldlog import Window, one_run
+from .hemispheres import letters_beside, signed_by_letters
 from .mapping import (
     Channel,
     Column,
@@ -288,7 +289,7 @@ def run_of_table(
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
     sources = {n: in_unit_of_cells(table, n, c, mapping, where) for n, c in sources.items()}
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
-    lost = taken_as_missing(table, sources, mapping)
+    lost = [*taken_as_missing(table, sources, mapping), *signed_by_letters(table)]
     table, t, notes = _time(table, mapping, where, origin)
     notes += [f"{same} rows joined with the one before, of the same time"] if same else []
     notes += lost
@@ -311,7 +312,7 @@ def run_of_table(
         reported=_reported(common.reported, mapping, channels),
         wrapped=_angles_in_ned_frd(common.wrapped, mapping),
         source=str(path),
-        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table.columns, sources, mapping)),
+        notes=(*notes, *_conversions(sources, mapping, where), *_unused(table, sources, mapping)),
         sigma=_stated_noise(sources, mapping, where),
         mapping=mapping,
         dropped=rows - table.height,
@@ -563,8 +564,9 @@ def _conversions(sources: dict[str, Column], mapping: LogMapping, where: str) ->
     return notes
 
 
-def _unused(names: Sequence[str], sources: dict[str, Column], mapping: LogMapping) -> list[str]:
-    used = {*sources, *mapping.ignore, *mapping.time.columns, *mapping.flags}
+def _unused(table: pl.DataFrame, sources: dict[str, Column], mapping: LogMapping) -> list[str]:
+    names, letters = table.columns, letters_beside(table).values()
+    used = {*sources, *letters, *mapping.ignore, *mapping.time.columns, *mapping.flags}
     used.update(n for channel in mapping.channels.values() for n in channel.formula.columns)
     left = [name or f"(column {k} has no name)" for k, name in enumerate(names, 1) if name not in used]
     return [f"columns not used: {', '.join(left)}"] if left else []

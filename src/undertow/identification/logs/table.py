@@ -31,7 +31,7 @@ from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
 from .dates import DATE, as_iso
-from .hemispheres import with_signs
+from .hemispheres import with_signs, with_signs_beside
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -343,7 +343,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
         ) from error
     _refuse_doubled(table.columns, where)
     table = table.rename({name: name.strip() for name in table.columns})
-    return table.filter(~pl.all_horizontal(pl.all().is_null())) if table.height else table
+    return with_signs_beside(table.filter(~pl.all_horizontal(pl.all().is_null()))) if table.height else table
 
 
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
