@@ -504,6 +504,7 @@ def test_an_older_result_survives_a_full_disk(
         ("diagnose", ["--json", "train.csv"], "train.csv"),
         ("diagnose", ["--report", "link.csv"], "train.csv"),
         ("diagnose", ["--apply", "usv.toml"], "usv.toml"),
+        ("diagnose", ["--out", "usv.toml"], "usv.toml"),
         ("diagnose", ["--validation", "holdout.csv", "--apply", "holdout.csv"], "holdout.csv"),
         ("diagnose", ["--map", "map.toml", "--apply", "map.toml"], "map.toml"),
         ("fit", ["--out", "train.csv"], "train.csv"),

@@ -59,10 +59,12 @@ _WORTH = typer.Option(
     "reduce the error of long predictions.",
 )
 _REPORT = typer.Option(metavar="OUT.html", help="Write a report: one HTML file with all figures.")
+# --out as well, which it is in all other commands that write a vehicle file.
 _APPLY = typer.Option(
+    "--apply",
+    "--out",
     metavar="OUT.toml",
-    help="Write a new vehicle file, as --out of fit and add: with the effects that were found, or only "
-    "refitted values.",
+    help="Write a new vehicle file: with the effects that were found, or only refitted values.",
 )
 
 
