@@ -152,6 +152,22 @@ def test_the_sign_of_a_command_that_rests_is_not_asked_for() -> None:
     assert {f"command {name} is reversed" for name in others} <= {*clauses}
 
 
+@pytest.mark.parametrize(("logged", "named"), [(10.0, True), (0.1, False)])
+def test_commands_that_are_alike_are_not_called_swapped(logged: float, *, named: bool) -> None:
+    """Thrusts of 20 N that differ by one percent: what turns the boat the other way is not their wiring."""
+    names = ("u", "v", "r", "psi", "port", "starboard")
+    text = typed_vehicle("asv", MainDimensions(2.0, 1.08, 0.1341, 55.0), "cat", ("surge", "sway", "yaw"))
+    vehicle = vehicle_from_table(VehicleTable.model_validate(tomllib.loads(text)), catalogue())
+    t, noise = np.arange(0.0, 120.0, 0.1), np.random.default_rng(3)
+    turn = np.sign(np.sin(0.45 * t + 0.2))
+    given, said = (np.column_stack([20.0 + k * turn, 20.0 - k * turn]) for k in (-10.0, logged))
+    functions = Functions(vehicle)
+    x = Simulator(functions).run(np.zeros(6), t, given, np.array(functions.values()))
+    measured = x[:, [3, 4, 5, 2]].T + 1e-4 * noise.normal(size=(4, len(t)))
+    run = Run("boat", t, dict(zip(names, [*measured, *said.T], strict=True)))
+    assert any("swapped" in f.text for f in examine(vehicle, [run]).result.findings) is named
+
+
 def test_without_a_position_a_mirrored_heading_may_be_exchanged_commands() -> None:
     """A log of speed and heading has no side of its own: what turns the wrong way may be either."""
     names = ("u", "psi", "port", "starboard")

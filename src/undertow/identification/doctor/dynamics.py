@@ -71,7 +71,9 @@ class DynamicsSettings:
     cost: float = 0.01
     unit: float = 5.0  # change of a channel's spread that only another unit explains
     negligible: float = 0.5  # excess over the noise that counts as none
-    alike: float = 0.02  # share by which two thrusters must differ to be exchanged
+    # Share by which two thrusters must differ to be exchanged, and so must their commands: thrusters of one
+    # make differ by more than that.
+    alike: float = 0.02
     fitted: int = 4  # mistakes that are fitted until convergence after a screening of all
     units_fitted: int = 2  # units among them: neighbours predict alike, and must not crowd out the others
     least_predicted_fall: float = 1.1  # predicted reduction from which a mistake is fitted
@@ -360,18 +362,24 @@ def _reversed(vehicle: Vehicle, names: tuple[str, ...]) -> Mistake:
     return rescaled("reversed_thruster", f"{clause} reversed", factors, len(names), remedy)
 
 
-def swapped_commands(vehicle: Vehicle) -> Iterator[Mistake]:
-    """Two thrusters in each other's place, unless they do the same."""
+def swapped_commands(vehicle: Vehicle, runs: Sequence[Run] = ()) -> Iterator[Mistake]:
+    """Two thrusters in each other's place, unless they do the same or have the same commands in all runs."""
     rows = list(vehicle.dof_indices)
     for one, other in combinations(vehicle.thrusters, 2):
         a, b = (np.array(t.wrench)[rows] * t.thrust_per_command.value for t in (one, other))
-        if np.linalg.norm(a - b) > SETTINGS.alike * (np.linalg.norm(a) + np.linalg.norm(b)):
+        given = [np.nan_to_num(run.matrix((one.name, other.name))).T for run in runs]
+        told_apart = not given or any(map(_differ, *zip(*given, strict=True)))
+        if told_apart and _differ(a, b):
             yield exchanged(
                 "swapped_thrusters",
                 f"commands {one.name} and {other.name} are swapped",
                 {one.name: (other.name, 1.0), other.name: (one.name, 1.0)},
                 f"[[thrusters]]: swap the names {one.name} and {other.name}",
             )
+
+
+def _differ(a: Array, b: Array) -> bool:
+    return bool(np.linalg.norm(a - b) > SETTINGS.alike * (np.linalg.norm(a) + np.linalg.norm(b)))
 
 
 def other_units(vehicle: Vehicle, runs: list[Run]) -> Iterator[Mistake]:
@@ -470,7 +478,7 @@ def dynamic_mistakes(
     given = kinematics.mismatch(runs) if kinematics else None
     if given is not None and np.any((given.excess > SETTINGS.unreadable) & given.moves.astype(bool)):
         return None
-    wiring = [*swapped_commands(vehicle), *other_units(vehicle, at.runs)]
+    wiring = [*swapped_commands(vehicle, at.runs), *other_units(vehicle, at.runs)]
     signs = _distinguishable(at, reversed_commands(vehicle))
     # One velocity in another unit than the others, by less than no force could give, is a scale.
     speeds = sum(n in SPEEDS for n in vehicle.velocity_names)
@@ -498,7 +506,10 @@ def wiring_mistakes(
     """Mistakes that change the sign of the response to commands, as far as kinematics allow them."""
     axes = [m for m in reading_mistakes(mapping, runs) if m.id in ("frame", "flipped_axis")]
     turned = consistent_with_kinematics(kinematics, runs, at, axes)
-    return [*_distinguishable(at, [*swapped_commands(vehicle), *reversed_commands(vehicle)]), *turned]
+    return [
+        *_distinguishable(at, [*swapped_commands(vehicle, at.runs), *reversed_commands(vehicle)]),
+        *turned,
+    ]
 
 
 def consistent_with_kinematics(
