@@ -115,3 +115,11 @@ def test_letters_are_no_ignored_columns_of_a_mapping_that_is_given(tmp_path: Pat
     given = {"columns": {"u": {"channel": "u", "unit": "m/s"}}, "ignore": ["lat", "lon"]}
     run = read_log(tmp_path / "log.csv", LogMapping.model_validate(given))
     assert not any("columns not used" in note for note in run.notes)
+
+
+@pytest.mark.parametrize(("away", "asked"), [(80.0, True), (0.3, False)])
+def test_positions_of_several_vehicles_are_a_question(tmp_path: Path, away: float, *, asked: bool) -> None:
+    table = {"t": T, "x_1": 0.9 * T, "y_1": 0.2 * T, "x_2": 0.9 * T + away, "y_2": 0.2 * T}
+    questions = [q for q in _read(pl.DataFrame(table), tmp_path / "log.csv")[0].asked if "which are" in q]
+    assert bool(questions) is asked
+    assert all("x_1 and y_1 give the place; so do x_2 and y_2: which are those" in q for q in questions)

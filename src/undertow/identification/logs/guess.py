@@ -140,7 +140,7 @@ def guess_table(
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
-    questions += two_places(known, globe, data, dead) + _on_flags(f for f in flags if f not in used | dead)
+    questions += two_places((known, motion, globe), data, dead) + _on_flags([*flags], used | dead)
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
@@ -221,9 +221,9 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
 
 
-def _on_flags(flags: Iterable[str]) -> list[str]:
-    """Ask what columns of 0 and 1 are, if there are any."""
-    names, most = [f"'{flag}'" for flag in flags], SETTINGS.named_flags
+def _on_flags(flags: Sequence[str], known: Container[str]) -> list[str]:
+    """Ask what columns of 0 and 1 are that are not known, if there are any."""
+    names, most = [f"'{flag}'" for flag in flags if flag not in known], SETTINGS.named_flags
     more = [f"{len(names) - most} more"] if len(names) > most else []
     return [_FLAG.format(", ".join(names[:most] + more))] if names else []
 

@@ -11,7 +11,7 @@ from undertow.typing import Array
 
 from .guess_clock import are_degrees
 from .guess_frames import in_degrees, least_unexplained_shares, place_of
-from .guess_names import Name, latitude_and_longitude, places_called_so
+from .guess_names import Name, latitude_and_longitude, places_called_so, rows_by_number
 from .mapping import metres_per_degree
 
 
@@ -65,10 +65,17 @@ def _globe_called_xy(motion: Mapping[str, Name], data: Mapping[str, Array], t: A
 
 
 def two_places(
-    known: Mapping[str, Array], globe: Sequence[str], data: Mapping[str, Array], dead: set[str]
+    used: tuple[Mapping[str, Array], Mapping[str, Name], Sequence[str]],
+    data: Mapping[str, Array],
+    dead: set[str],
 ) -> list[str]:
-    """Questions where columns give another place than those that are used: metres, or `globe`."""
-    return [*_beside_metres(known, data, dead), *_beside_globe(globe, data, dead)]
+    """Questions where columns give another place than those that are used.
+
+    These are x and y in metres, columns by the channels that they mean, and latitude and longitude.
+    """
+    known, motion, globe = used
+    by_number = _beside_number(motion, data, dead)
+    return [*_beside_metres(known, data, dead), *_beside_globe(globe, data, dead), *by_number]
 
 
 def no_degrees(data: Mapping[str, Array]) -> tuple[str, ...]:
@@ -107,7 +114,7 @@ def _beside_globe(globe: Sequence[str], data: Mapping[str, Array], dead: set[str
     if not away:
         return []
     others = "; ".join(f"{' and '.join(pair)}, {far:.3g} m away" for pair, far in away.items())
-    return [f"{' and '.join(globe)} give the place; so do {others}: which are those of the vehicle?"]
+    return [_WHICH.format(" and ".join(globe), others)]
 
 
 def _apart(globe: Sequence[str], other: Sequence[str], data: Mapping[str, Array]) -> float:
@@ -118,3 +125,23 @@ def _apart(globe: Sequence[str], other: Sequence[str], data: Mapping[str, Array]
         return 0.0
     sizes = metres_per_degree(float(lat[known][0]))
     return float(np.median(np.hypot((north - lat)[known] * sizes[0], (east - lon)[known] * sizes[1])))
+
+
+def _beside_number(motion: Mapping[str, Name], data: Mapping[str, Array], dead: set[str]) -> list[str]:
+    """A question where x and y that differ from those that are used by a number alone lead elsewhere."""
+    if not {"x", "y"} <= motion.keys():
+        return []
+    x, y = (motion[channel].column for channel in "xy")
+    rows = rows_by_number(c for c in data if c not in dead)
+    several = [next((row for row in rows if own in row), []) for own in (x, y)]
+    way = max(float(np.nanmax(data[own]) - np.nanmin(data[own])) for own in (x, y))
+    others = []
+    for pair in zip(*several, strict=False):
+        apart = np.hypot(data[pair[0]] - data[x], data[pair[1]] - data[y])
+        known = apart[np.isfinite(apart)]
+        if len(known) and float(np.median(known)) > SETTINGS.least_separation_share * way:
+            others.append(f"{pair[0]} and {pair[1]}")
+    return [_WHICH.format(f"{x} and {y}", "; ".join(others))] if others else []
+
+
+_WHICH = "{} give the place; so do {}: which are those of the vehicle?"
