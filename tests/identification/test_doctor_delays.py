@@ -91,3 +91,26 @@ def test_a_heading_that_is_late_for_the_position_too_is_late(late: float) -> Non
     found = {f.id: f for f in examine(vehicle, [_one_turn(0.0, late)]).result.findings}
     assert found["late_pose"].text.startswith("psi is")
     assert found["late_pose"].evidence["delay"] == pytest.approx(late, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_late_rate_is_found_where_the_position_does_not_show_when_the_heading_was(seed: int) -> None:
+    """A boat at 1 Hz whose gyroscope is 2.3 s late, and whose fixes scatter by ten times its way in a second.
+
+    The delay of the heading against them, of which nothing is known, takes nothing from what is.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 320.0, 1.0)
+    fine = np.arange(-5.0, 320.0, 0.05)
+    psi = 0.15 * np.sin(fine / 17) + 0.1 * np.sin(fine / 9 + seed) + 0.05 * np.sin(fine / 4)
+    north, east = (np.cumsum(0.1 * turned(psi)) * 0.05 for turned in (np.cos, np.sin))
+    exact = {"x": north, "y": east, "psi": psi, "u": 0.1 + 0.0 * fine, "v": 0.0 * fine}
+    columns = {n: np.interp(t, fine, y) for n, y in exact.items()}
+    columns["r"] = np.interp(t - 2.3, fine, np.gradient(psi, fine))
+    noise = {"x": 1.0, "y": 1.0, "psi": 5e-4, "u": 0.01, "v": 0.01, "r": 2e-4}
+    noisy = {n: y + noise[n] * rng.standard_normal(len(t)) for n, y in columns.items()}
+    rests = {n: np.zeros(len(t)) for n in ("f1", "f2", "f3")}
+    run = run_of("slow", {"t": t, **noisy, **rests})
+    vehicle = vehicle_of(make_case("usv", (), 0, duration=20.0, runs=("steps",)))
+    (late,) = [one for one in latencies(Kinematics([run], vehicle), [run]) if one.names == ("r",)]
+    assert late.clear(1.0)
+    assert late.delay == pytest.approx(2.3, abs=4 * late.error)

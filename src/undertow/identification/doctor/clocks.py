@@ -19,7 +19,7 @@ from undertow.typing import Array
 
 from .dynamics import SETTINGS as EVIDENCE
 from .dynamics import Dynamics, dynamics_of
-from .kinematics import Kinematics, Samples, Segment
+from .kinematics import Kinematics, Samples, Segment, rms
 from .mistakes import Undo, names_with_verb, with_channels
 from .sensors import (
     LATE_COURSE,
@@ -151,8 +151,13 @@ def _delays(
     found = np.zeros(count)
     for _ in range(SETTINGS.rounds):
         here, slopes = left(found), table(found)
-        change = clustered_least_squares(slopes[:, 1:], -here, size)[0][: count - 1]
-        change = np.clip(change, -SETTINGS.longest, SETTINGS.longest)
+        # A delay that the motion does not show stays as small as those of sensors are: it would run away, and
+        # take with it those that do show.
+        held = np.eye(count - 1, slopes.shape[1] - 1) * (rms(here[:, None]) / SENSORS.delay)
+        both = np.vstack([slopes[:, 1:], held]), np.append(-here, -held[:, : count - 1] @ found[1:])
+        change = clustered_least_squares(*both, size)[0][: count - 1]
+        # All of them by one factor: cut one by one, delays that change together would come apart.
+        change = change / max(1.0, float(np.max(np.abs(change))) / SETTINGS.longest)
         if np.all(np.abs(change) < SETTINGS.converged * step):
             break
         found[1:] += change
