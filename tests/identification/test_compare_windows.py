@@ -11,6 +11,7 @@ import undertow as ut
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of, with_effect
 from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import LONGEST_STEP
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.validation import relative_squares
@@ -307,6 +308,45 @@ def test_the_slope_of_what_windows_inherit_is_found_from_close_by() -> None:
 
     assert np.max(np.abs(slope(None))) > 0.1
     np.testing.assert_allclose(slope(p), slope(None), atol=0.02 * np.max(np.abs(slope(None))))
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "number"),
+    [
+        ("thruster_lag", {"T_lag": 0.6}, 1),
+        ("slosh", {"m_slosh": 3.0, "slosh_frequency": 2.0, "slosh_damping": 0.1}, 2),
+        ("radiation_memory", {"X_memu": -5.0, "N_memr": -2.0, "T_memory": 1.5}, 1),
+    ],
+)
+def test_derivatives_include_what_parameters_do_before_a_window(
+    effect: str, values: dict[str, float], number: int
+) -> None:
+    """The states of its own that a model has at the starts depend on its parameters: simulations from the
+    states that parameters close by lead to say by how much.
+    """
+    case = make_case("usv", (), 2, duration=20.0, runs=("steps",))
+    vehicle = with_effect(true_vehicle(case), effect, **values)
+    windows, free = cut(runs_of(case), vehicle, 5.0), [*values, "X_u", "N_r"]
+    by_sums, by_reports = (Shooting(Functions(vehicle), windows, free, 1.0 / windows.sigma) for _ in range(2))
+    vars(by_reports)["_reports_states"] = False
+    predictor, p = by_sums.predictor, by_sums.predictor.values
+    starts = by_sums.measured_starts(p)
+    start, commands = predictor.start_and_commands(windows, p, starts)
+    inherited = by_sums.inherited_slopes(p, starts)
+    found = by_sums.sensitivities(start, commands, p, inherited)[1][..., :6, : len(free)]
+    acting = np.flatnonzero(np.any(inherited, axis=(0, 1)))
+    assert len(acting) == number
+    for k, place in ((k, by_sums.places[k]) for k in acting):
+        step = 1e-4 * np.abs(p[place]) * (np.arange(p.size) == place)
+        high, low = (predictor.reports(windows, p + s, starts, near=p) for s in (step, -step))
+        slope = (high - low) / (2.0 * step[place])
+        inside = np.isfinite(slope)
+        np.testing.assert_allclose(
+            found[..., k][inside], slope[inside], atol=2e-3 * np.max(np.abs(slope[inside])), err_msg=free[k]
+        )
+    one, other = (s.linearise(p, starts) for s in (by_sums, by_reports))
+    assert one.cost == pytest.approx(other.cost, rel=1e-9)
+    np.testing.assert_allclose(one.start_slope, other.start_slope, rtol=1e-6, atol=1e-9)
 
 
 def test_the_best_start_of_a_line_is_its_least_squares_fit() -> None:

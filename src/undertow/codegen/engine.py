@@ -261,7 +261,7 @@ class Problem:
     x: Array  # (b, n, nx): states; the first sample is given, the others are written
     wrt: Integers  # (m,): parameter of every sensitivity column, -1 for columns of an initial state
     # (b, n, nx, m): sensitivities; the first sample is given, the others are written. No column where none
-    # are wanted.
+    # are wanted; of the first sample alone, (b, 1, nx, m), where only sums of products are.
     s: Array
 
     def part(self, runs: slice) -> Problem:
@@ -529,7 +529,7 @@ class Tangents:
             part = problem.part(rows)
             span = 0, part.t.shape[1] - 1
             diverged.append(
-                self._call_library(part, span, start[rows], None, groups, *(a[rows] for a in arrays))
+                self._call_library(part, span, start[rows], part.s, groups, *(a[rows] for a in arrays))
             )
 
         # Every derivative is carried along like a state.
@@ -546,7 +546,7 @@ class Tangents:
         problem: Problem,
         span: tuple[int, int],
         x: Array,
-        s: Array | None,
+        s: Array,
         groups: int = 0,
         *sums: np.ndarray,
     ) -> int:
@@ -555,7 +555,7 @@ class Tangents:
             *(problem.t.shape[1], *span),
             *(0 if len(a) == 1 else a.strides[0] // a.itemsize for a in shared),
             *(x.strides[0] // x.itemsize, *map(pointer, shared), pointer(x)),
-            *(None if s is None else pointer(s), groups, *map(pointer, sums)),
+            *(pointer(s), groups, *map(pointer, sums)),
         )
         model = () if self._model is None else (ctypes.byref(self._model),)
         diverged = int(self._run(*model, ctypes.byref(logs), ctypes.c_int64(len(x))))

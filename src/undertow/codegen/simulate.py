@@ -146,16 +146,20 @@ class Simulator:
         wrt: Sequence[int],
         *,
         initial: Sequence[int] = (),
+        start_slopes: Array | None = None,
         max_step: float = LONGEST_STEP,
     ) -> tuple[Array, Array]:
         """Simulate and differentiate: exact derivatives of the discrete Runge-Kutta solution.
 
         As `run`, with derivatives in the parameters `wrt` and the initial values of the states `initial`, by
-        index. Returns states, shape (..., n, nx), and their derivatives, parameters first, shape
+        index. Where the initial states depend on these parameters, `start_slopes`, (..., nx, len(wrt)), are
+        their derivatives. Returns states, shape (..., n, nx), and their derivatives, parameters first, shape
         (..., n, nx, len(wrt) + len(initial)).
         """
         problem = self._problem(x0, t, u, p, max_step)
-        _start_sensitivities(problem, list(wrt), list(initial))
+        first = _start_sensitivities(problem, list(wrt), list(initial), start_slopes)
+        problem.s = np.zeros((*problem.x.shape, problem.wrt.size))
+        problem.s[:, 0] = first
         self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
@@ -170,6 +174,7 @@ class Simulator:
         weight: Array,
         group: Integers,
         *,
+        start_slopes: Array | None = None,
         max_step: float = LONGEST_STEP,
     ) -> Products:
         """Simulate windows and differentiate, keeping only the sums that a Gauss-Newton step needs.
@@ -184,12 +189,13 @@ class Simulator:
         known = np.ascontiguousarray(np.where(weight == 0, 0.0, measured), dtype=float)
         factors = np.ascontiguousarray(weight, dtype=float)
         groups = np.ascontiguousarray(group, dtype=np.int64)
-        columns = *map(int, wrt), *[-1] * size
-        stepper = self._stepper(columns)
+        first = _start_sensitivities(problem, list(wrt), list(range(size)), start_slopes)
+        stepper = self._stepper(tuple(problem.wrt.tolist()))
         if isinstance(stepper, Tangents):
-            problem.wrt = np.array(columns)
+            problem.s = first[:, None]
             return stepper.products(problem, known, factors, groups)
-        _start_sensitivities(problem, list(wrt), list(range(size)))
+        problem.s = np.zeros((*problem.x.shape, problem.wrt.size))
+        problem.s[:, 0] = first
         self._advance(problem, stepper, 1)
         return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
 
@@ -275,16 +281,21 @@ def _steps(t: Array, max_step: Array) -> Integers:
     return np.maximum(np.ceil(intervals / max_step - SETTINGS.rounding), 1).astype(np.int64)
 
 
-def _start_sensitivities(problem: Problem, wrt: list[int], initial: list[int]) -> None:
-    batch, samples, nx = problem.x.shape
+def _start_sensitivities(
+    problem: Problem, wrt: list[int], initial: list[int], start_slopes: Array | None
+) -> Array:
+    """Derivatives of the initial states, (b, nx, len(wrt) + len(initial)); `problem.wrt` becomes theirs."""
+    batch, _, nx = problem.x.shape
     for name, indices, size in (("wrt", wrt, problem.p.shape[1]), ("initial", initial, nx)):
         beyond = [i for i in indices if not 0 <= i < size]
         if beyond:
             raise UndertowError(f"{name} holds index {beyond[0]}, but there are {size}: give 0 to {size - 1}")
     problem.wrt = np.array([*wrt, *[-1] * len(initial)], dtype=np.int64)
-    problem.s = np.zeros((batch, samples, nx, problem.wrt.size))
-    for k, i in enumerate(initial, start=len(wrt)):
-        problem.s[:, 0, i, k] = 1.0
+    first = np.zeros((batch, nx, problem.wrt.size))
+    if start_slopes is not None:
+        first[..., : len(wrt)] = _checked("start_slopes", start_slopes, (nx, len(wrt)), batch)
+    first[:, initial, np.arange(len(wrt), problem.wrt.size)] = 1.0
+    return first
 
 
 # --- what a simulation is given -------------------------------------------------------------------

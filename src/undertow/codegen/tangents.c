@@ -80,7 +80,7 @@ typedef struct {
   const double *t, *u, *p;
   const int64_t *steps;         /* Runge-Kutta steps to the next sample */
   double *x, *s;                /* recorded states and sensitivities; those of the first sample are given */
-  /* Or the table of sums, then x are states at the start alone. Sample i belongs to sum group[i], which never falls. */
+  /* Or the table of sums, then x and s are of the start alone. Sample i belongs to sum group[i], which never falls. */
   int64_t groups;
   const double *measured, *weight;
   const int64_t *group;
@@ -221,12 +221,11 @@ static void start(Work *work, double *z, int64_t run) {
   const Logs *logs = work->logs;
   const int64_t first = logs->table ? 0 : logs->first;
   const double *x = logs->x + run * logs->x_stride + first * NX;
-  const double *s = logs->s + (run * logs->samples + first) * NX * COLUMNS;
+  const double *s = logs->s + (logs->table ? run : run * logs->samples + first) * NX * COLUMNS;
   double *derivatives = z + FIRST_VECTOR * ABREAST;
   for (int64_t i = 0; i < NUMBERS * ABREAST; i++) z[i] = 0;
   for (int64_t i = 0; i < NX; i++) z[i] = x[i];
-  for (int64_t i = 0; logs->table && i < NS; i++) derivatives[AT(i) * ABREAST + NF + i] = 1;
-  for (int64_t i = 0; !logs->table && i < NX; i++)
+  for (int64_t i = 0; i < NX; i++)
     for (int64_t c = 0; c < COLUMNS; c++) derivatives[AT(i) * ABREAST + c] = s[i * COLUMNS + c];
 #ifndef INTERPRETED
   inverse(x, work->u, work->p, logs->t[run * logs->t_stride + first], work->w);

@@ -164,10 +164,10 @@ class ChainedWindows:
     def _linearised(self, p: Array, starts: Array) -> LinearWindows:
         shooting, predictor = self._shooting, self._predictor
         start, commands = predictor.start_and_commands(self.windows, p, starts)
-        x, s = shooting.sensitivities(start, commands, p)
+        x, s = shooting.sensitivities(start, commands, p, shooting.inherited_slopes(p, starts))
         reported, slope = shooting.report_slopes(x, s, commands.u, self.windows.t, p)
         end, by_all = x[:, -1, : self._size], s[:, -1, : self._size].copy()
-        both = shooting.differences(p, lambda moved: self._reports_and_ends(moved, starts, near=p))
+        both = shooting.delay_slopes(p, lambda moved: self._reports_and_ends(moved, starts, near=p))
         for k, values in both.items():
             slope[..., k], by_all[..., k] = values[:, :-1], values[:, -1]
         return self._assembled(reported, slope, end, by_all, starts)

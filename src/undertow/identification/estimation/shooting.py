@@ -325,9 +325,11 @@ class Shooting:
         if self.by_run:
             return [part for one in self.by_run for part in self._products_of_run(one, p, starts[one.rows])]
         finite = self._by_differences(p, starts)
+        inherited = self.inherited_slopes(p, starts)
         start, commands = self.predictor.start_and_commands(self.windows, p, starts)
         return [
-            self._batch_products(rows, p, start[rows], commands[rows], finite) for rows in self._batches()
+            self._batch_products(rows, p, start[rows], commands[rows], inherited[rows], finite)
+            for rows in self._batches()
         ]
 
     def _products_of_run(self, one: OneRun, p: Array, starts: Array) -> Iterator[Products]:
@@ -372,18 +374,19 @@ class Shooting:
 
     # --- derivatives --------------------------------------------------------------------------
     @cached_property
-    def _acting_before(self) -> list[int]:
-        """Which free parameters act on the commands' delay or on the states that a window inherits."""
-        f = self.functions
-        inherited = [self._dead_times]
-        inherited += [f.actuator_rates, f.actuator_rest] if f.actuator_states.shape[0] else []
-        inherited += [f.memory_rates] if f.memory.shape[0] else []
-        influential = set(ca.jacobian_sparsity(ca.vertcat(*inherited), f.p).get_col())
+    def _delays(self) -> list[int]:
+        """Which free parameters delay commands or sensors."""
+        influential = set(ca.jacobian_sparsity(self._dead_times, self.functions.p).get_col())
         return [k for k, place in enumerate(self.places) if place in influential]
 
     @cached_property
-    def _delay_parameters(self) -> set[int]:
-        return set(ca.jacobian_sparsity(self._dead_times, self.functions.p).get_col())
+    def _acting_before(self) -> list[int]:
+        """Which of the others act on the states of its own that a model has at the start of a window."""
+        f = self.functions
+        inherited = [f.actuator_rates, f.actuator_rest] if f.actuator_states.shape[0] else []
+        inherited += [f.memory_rates] if f.memory.shape[0] else []
+        influential = set(ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *inherited), f.p).get_col())
+        return [k for k, place in enumerate(self.places) if place in influential and k not in self._delays]
 
     @property
     def _dead_times(self) -> ca.SX:
@@ -391,23 +394,38 @@ class Shooting:
         return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_age)
 
     def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
-        """Derivatives of the report in parameters that act before a window starts, too."""
-        if self._starts_only:
-            return {}
-        return self.differences(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
+        """Derivatives of the report in delays, by finite differences."""
+        return self.delay_slopes(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
 
-    def differences(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
-        """Derivatives by finite differences in those free parameters that act before a window starts."""
-        return {k: self._difference(p, of, self.places[k]) for k in self._acting_before}
-
-    def _difference(self, p: Array, of: Callable[[Array], Array], place: int) -> Array:
+    def delay_slopes(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
+        """Derivatives in those free parameters that delay commands or sensors, by finite differences."""
         sample = float(np.median(np.diff(self.windows.runs[0].t)))
-        step = SETTINGS.difference * max(abs(p[place]), SETTINGS.least_size)
-        if place in self._delay_parameters:
-            step = SETTINGS.delay_difference * sample
-        high, low = p[place] + step, p[place] - step
-        if place in self._delay_parameters:  # no dead time is negative
-            low = max(low, 0.0)
+        delays = [] if self._starts_only else self._delays
+        return {k: self._difference(p, of, k, SETTINGS.delay_difference * sample, 0.0) for k in delays}
+
+    def inherited_slopes(self, p: Array, starts: Array) -> Array:
+        """Derivatives of the states at the starts in the free parameters, shape (b, nx, n_free).
+
+        A model's own states there (actuators, memory) are results of what was logged before.
+        """
+        slopes = np.zeros((len(starts), len(self.functions.state_names), len(self.free)))
+        if self._starts_only:
+            return slopes
+
+        def own(moved: Array) -> Array:
+            start, _ = self.predictor.start_and_commands(self.windows, moved, starts, near=p)
+            return start[:, self._size :]
+
+        for k in self._acting_before:
+            step = SETTINGS.difference * max(abs(p[self.places[k]]), SETTINGS.least_size)
+            slopes[:, self._size :, k] = self._difference(p, own, k, step)
+        return slopes
+
+    def _difference(
+        self, p: Array, of: Callable[[Array], Array], k: int, step: float, least: float = -np.inf
+    ) -> Array:
+        place = self.places[k]
+        high, low = p[place] + step, max(p[place] - step, least)  # no dead time is negative
         ends = []
         for value in (high, low):
             moved = p.copy()
@@ -417,23 +435,36 @@ class Shooting:
             return np.asarray((ends[0] - ends[1]) / (high - low))
 
     def _batch_products(
-        self, rows: slice, p: Array, start: Array, commands: WindowCommands, finite: dict[int, Array]
+        self,
+        rows: slice,
+        p: Array,
+        start: Array,
+        commands: WindowCommands,
+        inherited: Array,
+        finite: dict[int, Array],
     ) -> Products:
         t = self.windows.t[rows]
         measured, weight = self.windows.measured[rows], self._all_weights(rows)
         if self._reports_states:
             known = (commands.zero_filled(measured), commands.zero_filled(weight), self._groups(commands.t))
             return self.predictor.simulator.products(
-                start, commands.t, commands.held, p, self.places, *known, max_step=commands.longest_step
+                *(start, commands.t, commands.held, p, self.places, *known),
+                start_slopes=inherited,
+                max_step=commands.longest_step,
             )
-        x, s = self.sensitivities(start, commands, p)
+        x, s = self.sensitivities(start, commands, p, inherited)
         reported, slope = self._reported_late(*self.report_slopes(x, s, commands.u, t, p), rows, p)
         for k, values in finite.items():
             slope[..., k] = values[rows]
         return products_of(reported, slope, measured, weight, self._groups(t))
 
-    def sensitivities(self, start: Array, commands: WindowCommands, p: Array) -> tuple[Array, Array]:
-        """States at the samples, (b, k, nx), and their derivatives in the free parameters and the starts."""
+    def sensitivities(
+        self, start: Array, commands: WindowCommands, p: Array, inherited: Array
+    ) -> tuple[Array, Array]:
+        """States at the samples, (b, k, nx), and their derivatives in the free parameters and the starts.
+
+        `inherited` are those of the states at the starts, as of `inherited_slopes`.
+        """
         x, s = self.predictor.simulator.run_with_sensitivities(
             start,
             commands.t,
@@ -441,15 +472,16 @@ class Shooting:
             p,
             self.places,
             initial=range(self._size),
+            start_slopes=inherited,
             max_step=commands.longest_step,
         )
         return commands.at_samples(x), commands.at_samples(s)
 
     @cached_property
     def _reports_states(self) -> bool:
-        """Whether all that is compared are states of the simulation, and nothing acts before a window."""
+        """Whether all that is compared are states of the simulation, and no delay is estimated."""
         sensor_delay = self.predictor.sensor_delay
-        direct = self._starts_only or not self._acting_before
+        direct = self._starts_only or not self._delays
         return self.predictor.ideal_sensors and not sensor_delay.present and direct
 
     def _all_weights(self, rows: slice) -> Array:
