@@ -327,9 +327,18 @@ class Grading:
 
     def _is_sufficient(self, finding: FoundEffect) -> bool:
         gain, settings = self.gains[finding.id], self._settings
-        # Without a significant force, predictions alone have to be beyond chance.
-        by_chance = not self._significant and gain.better[0] < 1.0 - settings.false_alarm_rate
-        return not by_chance and gain.suffices(settings.worth) and not self._other_minimum(finding)
+        enough = gain.suffices(settings.worth) and not self._other_minimum(finding)
+        return enough and (self._significant or self._predicts_for_certain(finding))
+
+    def _predicts_for_certain(self, finding: FoundEffect) -> bool:
+        """Whether predictions improve beyond chance, and also as the result is fitted: without a significant
+        force they are all there is.
+        """
+        if self.gains[finding.id].better[0] < 1.0 - self._settings.false_alarm_rate:
+            return False
+        reported = fitted(self._bench.base.model.functions.vehicle, [finding], self._bench).fit
+        gain = self._gain([finding], self._before, self._squares_of([reported])[0])
+        return gain.suffices(self._settings.worth)
 
     def _other_minimum(self, finding: FoundEffect) -> str:
         """That the fit predicts as well with the effect set to zero, in words; empty if not."""

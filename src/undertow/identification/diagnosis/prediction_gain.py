@@ -80,9 +80,13 @@ class PredictionGain:
 
     def suffices(self, least: float) -> bool:
         """Whether long predictions improve by enough to matter, and none become worse."""
+        enough = max(self.largest[h] for h in long_horizons(self.falls)) >= least
+        return enough and not self.worse and not self._raised(least) and not self._may_be_chance
+
+    def _raised(self, least: float) -> list[float]:
+        """Horizons over which the error rises: over the shortest one by enough to matter."""
         long = long_horizons(self.falls)
-        lower = all(self.falls[h] >= 0.0 for h in long) and not self.worse
-        return lower and max(self.largest[h] for h in long) >= least and not self._may_be_chance
+        return [h for h, fall in sorted(self.falls.items()) if fall < (0.0 if h in long else -least)]
 
     @property
     def _may_be_chance(self) -> bool:
@@ -97,13 +101,12 @@ class PredictionGain:
             over = " and ".join(f"{h:g} s" for h in self.worse)
             return f"makes predictions over {over} worse"
         longest = long_horizons(self.falls)[-1]
-        worse_horizon = next((h for h in reversed(long_horizons(self.falls)) if self.falls[h] < 0.0), None)
-        if worse_horizon is not None:
-            much = -self.falls[worse_horizon]
+        if raised := self._raised(least):
+            much = -self.falls[raised[-1]]
             if much > WORDING.diverges:
-                return f"makes predictions over {worse_horizon:g} s diverge"
+                return f"makes predictions over {raised[-1]:g} s diverge"
             words = f"{much:.0%}" if much > 0.005 else "a little"
-            return f"increases the prediction error over {worse_horizon:g} s by {words}"
+            return f"increases the prediction error over {raised[-1]:g} s by {words}"
         if max(self.largest[h] for h in long_horizons(self.falls)) >= least:
             return f"reduces the prediction error in only {self.better[0]:.0%} of the resamples"
         if longest in self.useless:
