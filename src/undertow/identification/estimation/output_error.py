@@ -17,9 +17,9 @@ from undertow.typing import Array, Progress
 from .data import clustered, inverse_of, prepare, summed_scores
 from .fitted import Fitted
 from .predictor import Predictor, predict_each
-from .residual import Linearised, WeakModel, base_name
+from .residual import WeakModel, base_name
 from .shooting import Reduced, Shooting
-from .step import Constraints, SearchSpace
+from .step import Constraints, SearchSpace, damped
 from .weak_form import WeakFit, fit_weak_by_run, free_parameters, in_runs
 from .windows import Windows, cut, horizons, prediction_error
 
@@ -280,7 +280,7 @@ class Descent:
         damping, before = state.damping, self._space.cost(state.p, state.at.cost)
         by_window = False
         while damping < SETTINGS.most_damping:
-            step = self._space.step(_damped(state.at, damping), state.p)
+            step = self._space.step(damped(state.at.r, state.at.J, damping), state.p)
             p = self._space.after_step(state.p, step)
             starts = state.starts + state.at.start_slope @ step
             further = starts + state.at.start_step
@@ -309,13 +309,6 @@ def _negligible_fall(at: Reduced) -> float:
     a noise variance then moves no parameter noticeably relative to its standard error.
     """
     return SETTINGS.least_fall * max(1.0, at.cost / max(float(at.counts.sum()), 1.0)) * at.inflation
-
-
-def _damped(at: Reduced, damping: float) -> Linearised:
-    """The linearised problem with damped steps, relative to how well each parameter is determined."""
-    hold = np.diag(np.sqrt(damping) * np.linalg.norm(at.J, axis=0))
-    r, J = np.concatenate([at.r, np.zeros(len(hold))]), np.vstack([at.J, hold])
-    return Linearised(r, J, np.zeros((len(r), 0)))
 
 
 def channel_weights(windows: Windows, *, derived: bool = False) -> Array:

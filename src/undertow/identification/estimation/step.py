@@ -196,10 +196,10 @@ class SearchSpace:
     """Where the free parameters of a model may go, for every estimator: bounds, priors, step limits.
 
     The estimators share the step, its bounds and the priors. How a step is kept short differs, because their
-    residuals do: the weak form, nearly linear and cheap, and prediction error, which reestimates the noise
-    after every step, shorten a Gauss-Newton step until the cost falls; output error, whose simulations may
-    diverge, damps it (Levenberg-Marquardt); instrumental variables solve equations and have no sum of squares
-    to watch. Only the weak form, which starts far away, needs step limits.
+    residuals do: output error, whose simulations may diverge, and the weak form, which tries the full
+    Gauss-Newton step first, damp it (Levenberg-Marquardt); prediction error, which reestimates the noise
+    after every step, shortens it until the cost falls; instrumental variables solve equations and have no sum
+    of squares to watch. Only the weak form, which starts far away, needs step limits.
     """
 
     def __init__(
@@ -247,6 +247,13 @@ class SearchSpace:
     def predicted_cost(self, p: Array, step: Array, r: Array) -> float:
         """Cost after a step that leaves the residual r of the linearised problem."""
         return squared(r) + prior_cost(self.prior, p[self.places] + step)
+
+
+def damped(r: Array, J: Array, damping: float) -> Linearised:
+    """The linearised problem with damped steps, relative to how well each parameter is determined."""
+    hold = np.diag(np.sqrt(damping) * np.linalg.norm(J, axis=0))
+    r, J = np.concatenate([r, np.zeros(len(hold))]), np.vstack([J, hold])
+    return Linearised(r, J, np.zeros((len(r), 0)))
 
 
 def squared(r: Array) -> float:

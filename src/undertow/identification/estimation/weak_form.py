@@ -17,7 +17,7 @@ from .data import Segment, WeakData, clustered, prepare, summed_scores
 from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by_run
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
-from .step import Constraints, SearchSpace, require_equations, squared
+from .step import Constraints, SearchSpace, damped, require_equations, squared
 from .test_functions import Whitening
 from .windows import Windows, cut
 
@@ -29,7 +29,11 @@ class WeakFormSettings:
     most_steps: int = 15
     # Predicted reduction of chi-square below which a step is negligible.
     least_reduction: float = 0.01
-    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.02)  # of a step, tried in turn until the cost falls
+    # Damping of a step (Levenberg-Marquardt) after a full one that raised the cost, the factor by which more
+    # failures raise and a success lowers it, and the largest tried.
+    least_damping: float = 1e-3
+    more_damping: float = 10.0
+    most_damping: float = 1e3
     rounding: float = 1e-12  # relative rise of the cost that is rounding
     # Steps of the intensity of the disturbance, which makes the mean square of the whitened residual one, the
     # power of that mean square by which each multiplies it, and limits of this factor.
@@ -284,24 +288,30 @@ def _gauss_newton(
     max_iterations: int,
     tolerance: float = 0.0,
 ) -> WeakFit:
-    """Gauss-Newton steps from p under a fixed noise model."""
+    """Gauss-Newton steps from p under a fixed noise model, damped where a full one raises the cost."""
     space = SearchSpace(model, limited=True)
     p = space.nearest(p)
     at = whitened(model.linearise(data, p), whitening)
-    iteration = 0
+    iteration, damping = 0, 0.0
     for _ in range(max_iterations):
         step, cost = space.step(at, p), space.cost(p, squared(at.r))
         predicted = space.predicted_cost(p, step, at.r + at.J @ step)
         if cost - predicted < max(SETTINGS.least_reduction, tolerance * squared(at.r)):
             break
         iteration += 1
-        trials = (space.after_step(p, share * step) for share in SETTINGS.shares)
-        ends = ((q, whitened(model.linearise(data, q), whitening)) for q in trials)
-        limit = cost * (1.0 + SETTINGS.rounding)
-        found = next((end for end in ends if space.cost(end[0], squared(end[1].r)) <= limit), None)
-        if found is None:  # no share of the step helps, and the next one would be the same
+        limit, found = cost * (1.0 + SETTINGS.rounding), None
+        while found is None and damping <= SETTINGS.most_damping:
+            q = space.after_step(p, space.step(damped(at.r, at.J, damping), p) if damping else step)
+            end = whitened(model.linearise(data, q), whitening)
+            if space.cost(q, squared(end.r)) <= limit:
+                found = q, end
+            else:
+                damping = max(SETTINGS.more_damping * damping, SETTINGS.least_damping)
+        if found is None:  # no damping helps, and the next step would be the same
             break
         p, at = found
+        # The next step may be freer, or free.
+        damping = damping / SETTINGS.more_damping if damping > SETTINGS.least_damping else 0.0
     return WeakFit(model, p, data, whitening, at, disturbance, iteration)
 
 
