@@ -465,7 +465,11 @@ class WeakData:
 
 def group_numbers(*columns: Index | Array) -> Index:
     """Number of the group of each row, rows that are the same in all columns being one group."""
-    return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
+    order = np.lexsort(columns[::-1])
+    differs = np.any([np.diff(np.asarray(c)[order]) != 0 for c in columns], axis=0)
+    found = np.empty(len(order), dtype=np.intp)
+    found[order] = np.concatenate([[0], np.cumsum(differs)])[: len(order)]
+    return found
 
 
 def blocks_of_time(since: Array, seconds: float, *piece: Index | Array) -> Index:

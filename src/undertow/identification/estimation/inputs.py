@@ -267,7 +267,7 @@ class DrivenSignal:
     """A driven signal with its derivative in the free parameters."""
 
     value: Array  # (N, k) value at each sample, or mean over the interval that follows it
-    slope: Array  # (N, k, n_free) its derivative
+    slope: Array  # (N, k, n_free) its derivative; no columns where it depends on no free parameter
     start: Array  # (N, k, n_states) its derivative in the states that it started from, which no log has
 
     @classmethod
@@ -315,7 +315,7 @@ class ActuatorStates:
     def along_each(self, logs: Sequence[tuple[Array, Array, Array]]) -> list[Actuation]:
         """The same along several logs (t, u, p)."""
         if self.functions.actuation.shape[0] == 0:
-            nothing = [_empty(len(t), len(self.free)) for t, _, _ in logs]
+            nothing = [_empty(len(t), 0) for t, _, _ in logs]
             return [Actuation.of(none, none) for none in nothing]
         means = self._propagate(logs) if self._has_states else [self._static(*log) for log in logs]
         found = []
@@ -345,7 +345,7 @@ class ActuatorStates:
         """A chain without states: its output in the middle of every interval."""
         middle = t + np.append(np.diff(t), 0.0) / 2
         value, slope = mapped(self._output, [u], p, middle)
-        return _driven_signal(value[:, :, 0], slope, self._dependent, len(self.free))
+        return _driven_signal(value[:, :, 0], slope, self._dependent, len(self.free) if self.varies else 0)
 
     @cached_property
     def _output(self) -> ca.Function:
