@@ -60,12 +60,14 @@ class Graded:
     chosen: the effect; rivals: those that do as well in its place.
     gain: its improvement of predictions in addition to those before it.
     doubt: why it is not established as the cause; empty if it is.
+    significant: whether its force is; else predictions alone show it.
     """
 
     chosen: FoundEffect
     rivals: list[FoundEffect]
     gain: PredictionGain
     doubt: str
+    significant: bool = True
 
 
 def doubt_of_companion(effect: str) -> str:
@@ -240,7 +242,7 @@ class Grading:
         first = chosen or self._sufficient[0]
         doubt = doubt_of_companion(self._refuted) if self._refuted else self._doubts[first.id]
         doubt = doubt or insignificance(first)
-        return Graded(first, [], self.gains[first.id], doubt)
+        return Graded(first, [], self.gains[first.id], doubt, significant=self._significant)
 
     @property
     def reasons(self) -> dict[str, str]:

@@ -222,8 +222,11 @@ class _Selector:
     def _insignificant(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
         """The best candidate for prediction among those whose force is not significant.
 
-        A slow force is hidden by quick ones in the residual of every sample, but adds up in simulations.
+        A slow force is hidden by quick ones in the residual of every sample, but adds up in simulations. Each
+        is the best of many candidates on the same validation data: a second one would be chosen by chance.
         """
+        if not all(g.significant for g in graded):
+            return None
         return Grading(current, graded, self._predictions, self._later, significant=False).best()
 
     def _best(self, current: Round, graded: Sequence[Graded]) -> Graded | None:
