@@ -25,7 +25,7 @@ from undertow.typing import Array, Progress
 
 from .comparison import compare
 from .diagnosis.bench import noise_ratio
-from .diagnosis.grading import doubt_of_companion
+from .diagnosis.grading import ONLY_TOGETHER, doubt_of_companion
 from .diagnosis.parallel import in_background, one_thread
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
@@ -94,19 +94,21 @@ def _confirmed(
     if place is not None:
         rest = selection.without(ordered.graded[place])
         return _confirmed(vehicle, found, validator, known, rest)
-    gains = builder.gains()
-    least = builder.settings.worth
-    insufficient = next(
-        (g for g, gain in zip(ordered.graded, gains, strict=True) if not gain.suffices(least)), None
-    )
-    if insufficient is not None:
-        beside = "" if insufficient.doubt else selection.doubted_before(insufficient)
-        rest = (
-            selection.with_doubt(insufficient, doubt_of_companion(beside))
-            if beside
-            else selection.without(insufficient)
-        )
+    gains, least = builder.gains(), builder.settings.worth
+    small = [k for k, gain in enumerate(gains) if not gain.suffices(least)]
+    for k in small:
+        # On top of those before it alone, the fit may end elsewhere than where it was found.
+        gains[k] = builder.gain_within_all(k)
+    needless = [k for k in small if not gains[k].suffices(least)]
+    if needless:
+        worst = ordered.graded[min(needless, key=lambda k: gains[k].log_fall)]
+        beside = "" if worst.doubt else selection.doubted_before(worst)
+        doubted = selection.with_doubt(worst, doubt_of_companion(beside))
+        rest = doubted if beside else selection.without(worst)
         return _confirmed(vehicle, found, validator, known, rest)
+    dependent = next((ordered.graded[k] for k in small if not ordered.graded[k].doubt), None)
+    if dependent is not None:
+        return _confirmed(vehicle, found, validator, known, selection.with_doubt(dependent, ONLY_TOGETHER))
     builder.regrade(gains)
     return builder
 

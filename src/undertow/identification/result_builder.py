@@ -162,6 +162,16 @@ class ResultBuilder:
         steps = zip(pairwise(ahead), self.found.effect_set.findings, strict=True)
         return [gain_of_effects(before, after, [f], self.validator) for (before, after), f in steps]
 
+    def gain_within_all(self, place: int) -> PredictionGain:
+        """Improvement of predictions by one effect in addition to all others."""
+        findings = self.found.effect_set.findings
+        others = [f for i, f in enumerate(findings) if i != place]
+        without = self.fits[place]
+        if place < len(others):
+            without = self.validator.final(fitted(self.found.vehicle, others, self.bench).fit)
+        before, after = (self.validator.squares_ahead(fit) for fit in (without, self.fits[-1]))
+        return gain_of_effects(before, after, [findings[place]], self.validator)
+
     def regrade(self, gains: Sequence[PredictionGain]) -> None:
         """Update the benefit of the selected effects from the fits of the result."""
         if self._selection is not None:

@@ -177,6 +177,8 @@ def insignificance(finding: FoundEffect) -> str:
     return f"the residual alone does not show its force (p = {finding.p_value:.2g})"
 
 
+ONLY_TOGETHER = "it improves predictions only together with other effects that were added"
+"""Doubt about an effect whose own improvement depends on the local minimum that a fit ends in."""
 _NOT_BEST = "other effects are better in nearly all resamples of the logs"
 _OTHER_MINIMUM = "its fit predicts as well with it set to zero: it has only reached another local minimum"
 
