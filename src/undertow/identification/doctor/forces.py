@@ -16,7 +16,7 @@ from undertow.errors import UndertowError
 from undertow.identification.estimation.inputs import ActuatorStates, without_gaps
 from undertow.identification.estimation.test_functions import TestFunctions, knot_spacing
 from undertow.identification.findings import Finding, percent
-from undertow.identification.logs.guess_clock import are_degrees
+from undertow.identification.logs.guess_rows import are_degrees
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
 from undertow.model.effect import Curve, Propeller

@@ -10,8 +10,8 @@ from itertools import product
 import numpy as np
 
 from undertow.identification.findings import Finding
-from undertow.identification.logs.guess_clock import is_time_of_day, seconds_of_day
 from undertow.identification.logs.guess_names import position_axes
+from undertow.identification.logs.guess_rows import is_time_of_day, seconds_of_day
 from undertow.identification.logs.mapping import (
     FLIPPED_BODY,
     SECONDS,

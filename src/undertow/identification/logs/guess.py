@@ -18,7 +18,7 @@ from undertow.model.units import PULSES, scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .guess_clock import clock_by_motion, clock_of, columns_of, times_of_rows
+from .cells import letters_beside
 from .guess_frames import (
     Axes,
     Guess,
@@ -51,8 +51,7 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, no_degrees, two_places
-from .guess_text import numbers_of, whole_table
-from .hemispheres import letters_beside
+from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS
 from .table import joined_rows, texts_in, unit_of_cells

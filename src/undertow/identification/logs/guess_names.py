@@ -9,6 +9,7 @@ from itertools import pairwise, takewhile
 
 from undertow.model.symbols import POSE, VELOCITY
 
+from .cells import GLOBE, words_of
 from .mapping import SECONDS, LogMapping
 from .run import FORCES
 
@@ -144,13 +145,7 @@ _OF_CLOCKS = {
     "mins": "min", "minutes": "min", "h": "h", "hr": "h", "hrs": "h", "hour": "h", "hours": "h",
     "day": "day", "days": "day",
 }  # fmt: skip
-# English and French, Italian, Spanish, Portuguese, German.
-_GLOBE = (
-    {"lat", "latitude", "latitudine", "latitud", "breite", "breitengrad"},
-    {"lon", "lng", "long", "longitude", "longitudine", "longitud", "laenge", "laengengrad"},
-)
-_ACCENTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
-_NORTH, _EAST = {"north", "northing", *_GLOBE[0]}, {"east", "easting", *_GLOBE[1]}
+_NORTH, _EAST = {"north", "northing", *GLOBE[0]}, {"east", "easting", *GLOBE[1]}
 _TIMES = {"t", "time", "timestamp", "stamp", "seconds", "sec", "elapsed", "unix", "epoch", "clock"}
 
 
@@ -186,8 +181,7 @@ class Name:
         """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
         rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
-        spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", rest.translate(_ACCENTS))
-        words = [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
+        words = words_of(rest)
         words = [w[:-1] if re.fullmatch("[xyz]0", w) else w for w in words]  # of earth-fixed axes
         words = re.sub(r"\brate of turn\b", "rot", " ".join(words)).split()
         compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
@@ -226,7 +220,7 @@ class Name:
         wanted = WANTED - _HEIGHTS if self.is_height else WANTED
         if set(self.words) & {*wanted, *_DRIVES, *_ABOUT_ELSE, "battery"} or self.force or self.of_header:
             return ""
-        globe = {*_GLOBE[0], *_GLOBE[1]} & {*self.words}  # the E of "Longitude E/W" is no axis
+        globe = {*GLOBE[0], *GLOBE[1]} & {*self.words}  # the E of "Longitude E/W" is no axis
         found = "" if globe and self._axis(only) in POSE[:2] else self._axis(only)
         units = (_LENGTHS, _ANGLES, _SPEEDS, RATES | {"rev/s"})
         fits = dict(zip((*POSE, *VELOCITY), (u for u in units for _ in range(3)), strict=True))
@@ -492,20 +486,9 @@ def places_called_so(columns: Iterable[str]) -> list[tuple[str, str]]:
     # Those of a place that is given, as of an origin, are not where the vehicle is.
     words = {column: {*Name.of(column).words} for column in columns}
     known = [c for c, own in words.items() if not own & {"origin", "home", *WANTED}]
-    north, east = ([c for c in known if words[c] & called] for called in _GLOBE)
-    alike = [(a, b) for a in north for b in east if words[a] - _GLOBE[0] == words[b] - _GLOBE[1]]
+    north, east = ([c for c in known if words[c] & called] for called in GLOBE)
+    alike = [(a, b) for a in north for b in east if words[a] - GLOBE[0] == words[b] - GLOBE[1]]
     return alike or [*zip(north[:1], east[:1], strict=False)]
-
-
-def is_on_globe(name: str) -> bool:
-    """Whether a column is called a latitude or a longitude."""
-    return kind_on_globe(name) is not None
-
-
-def kind_on_globe(name: str) -> int | None:
-    """0 for a column that is called a latitude, 1 for a longitude, None for any other."""
-    words = {*Name.of(name).words}
-    return next((kind for kind, called in enumerate(_GLOBE) if words & called), None)
 
 
 def position_axes(mapping: LogMapping) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 
 from undertow.typing import Array
 
-from .guess_clock import are_degrees
 from .guess_frames import in_degrees, least_unexplained_shares, place_of
 from .guess_names import Name, latitude_and_longitude, places_called_so, rows_by_number
+from .guess_rows import are_degrees
 from .mapping import metres_per_degree
 
 

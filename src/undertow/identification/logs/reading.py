@@ -38,8 +38,8 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index, Progress
 
 from . import opening
+from .cells import letters_beside, signed_by_letters
 from .formats.fieldlog import Window, one_run
-from .hemispheres import letters_beside, signed_by_letters
 from .mapping import (
     Channel,
     Column,

@@ -30,8 +30,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
-from .dates import DATE, as_iso
-from .hemispheres import with_signs, with_signs_beside
+from .cells import DATE, as_iso, with_signs, with_signs_beside
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------

@@ -19,8 +19,8 @@ import numpy as np
 import polars as pl
 
 from undertow.errors import UndertowError, listed
-from undertow.identification.logs.guess_clock import unit_by_steps
 from undertow.identification.logs.guess_names import Name, is_time, unit_of_clock
+from undertow.identification.logs.guess_rows import unit_by_steps
 from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.table import has_dates, seconds
 from undertow.typing import Array

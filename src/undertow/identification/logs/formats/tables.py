@@ -18,17 +18,18 @@ import numpy as np
 
 from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess import guess_table
-from undertow.identification.logs.guess_clock import SETTINGS as CLOCKS
-from undertow.identification.logs.guess_clock import (
+from undertow.identification.logs.guess_names import Name, unit_of_clock
+from undertow.identification.logs.guess_rows import SETTINGS as CLOCKS
+from undertow.identification.logs.guess_rows import (
     absolute_times,
     clock_of,
     columns_of,
     halves_of_stamps,
+    numbers_of,
     unit_by_steps,
+    whole_table,
     with_nanoseconds,
 )
-from undertow.identification.logs.guess_names import Name, unit_of_clock
-from undertow.identification.logs.guess_text import numbers_of, whole_table
 from undertow.identification.logs.mapping import SECONDS, name_of_log
 from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import WHOLE, lacking_zeros
