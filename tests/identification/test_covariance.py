@@ -10,7 +10,7 @@ import pytest
 
 from undertow.codegen.compiler import Compiler, find_compiler
 from undertow.identification.estimation import data
-from undertow.identification.estimation.data import residual_covariance
+from undertow.identification.estimation.data import group_numbers, residual_covariance
 from undertow.identification.estimation.inputs import Inputs, PropagatedState
 from undertow.identification.estimation.test_functions import Entries, SumsInC, SumsInNumPy, boxes, unbanded
 from undertow.identification.estimation.test_functions import test_functions as functions_on
@@ -199,3 +199,10 @@ def test_what_lies_outside_a_window_counts_for_nothing_whatever_it_is(c_compiler
     place = np.zeros(len(entries.row), dtype=np.intp)
     SumsInC(c_compiler).weighted(windows, entries, place, place, table)
     assert np.isfinite(table[windows.first + windows.weights.shape[2] <= 60]).all()
+
+
+def test_groups_are_numbered_in_the_order_of_their_columns() -> None:
+    run, block = np.array([1, 0, 1, 0, 1]), np.array([0.0, 2.0, -1.0, 2.0, 0.0])
+    assert group_numbers(run, block).tolist() == [2, 0, 1, 0, 2]
+    assert group_numbers(block).tolist() == [1, 2, 0, 2, 1]
+    assert group_numbers(block[:0], run[:0]).size == 0

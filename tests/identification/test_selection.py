@@ -38,7 +38,12 @@ from undertow.identification.diagnosis.prediction_gain import (
     improved_velocities,
 )
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.diagnosis.selection import Selection, merged, without_rivals_found_later
+from undertow.identification.diagnosis.selection import (
+    Selection,
+    least_useful,
+    merged,
+    without_rivals_found_later,
+)
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import prepare
@@ -121,6 +126,21 @@ def _effect(name: str) -> FoundEffect:
 
 def _gain(fall: float) -> PredictionGain:
     return PredictionGain({1.0: fall, 5.0: fall}, {1.0: fall, 5.0: fall}, ())
+
+
+def test_an_effect_may_raise_the_error_of_the_shortest_simulations_by_less_than_matters() -> None:
+    """Sensor noise alone moves that error a little; one that rises from 48 to 66% is no improvement."""
+    largest = {4.0: 0.0, 8.0: 0.2, 16.0: 0.1}
+    little, much = (PredictionGain({4.0: -r, 8.0: 0.12, 16.0: 0.07}, largest, ()) for r in (0.05, 0.37))
+    assert little.suffices(0.1)
+    assert not much.suffices(0.1)
+    assert much.shortfall(0.1) == "increases the prediction error over 4 s by 37%"
+
+
+def test_of_the_effects_that_improve_predictions_too_little_the_least_useful_is_dropped_first() -> None:
+    assert least_useful([_gain(0.2), _gain(0.3)], 0.1) is None
+    assert least_useful([], 0.1) is None
+    assert least_useful([_gain(0.05), _gain(0.3), _gain(-0.2)], 0.1) == 2
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from .diagnosis.grading import ONLY_TOGETHER, doubt_of_companion
 from .diagnosis.parallel import in_background, one_thread
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
-from .diagnosis.selection import Selection, select, selected
+from .diagnosis.selection import Selection, least_useful, select, selected
 from .diagnosis.settings import DEFAULT, Settings
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.validation import SimulationValidator
@@ -99,9 +99,9 @@ def _confirmed(
     for k in small:
         # On top of those before it alone, the fit may end elsewhere than where it was found.
         gains[k] = builder.gain_within_all(k)
-    needless = [k for k in small if not gains[k].suffices(least)]
-    if needless:
-        worst = ordered.graded[min(needless, key=lambda k: gains[k].log_fall)]
+    place = least_useful(gains, least)
+    if place is not None:
+        worst = ordered.graded[place]
         beside = "" if worst.doubt else selection.doubted_before(worst)
         doubted = selection.with_doubt(worst, doubt_of_companion(beside))
         rest = doubted if beside else selection.without(worst)

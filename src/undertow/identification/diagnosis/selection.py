@@ -113,6 +113,12 @@ def merged(graded: Sequence[Graded]) -> list[Graded]:
     return list(found.values())
 
 
+def least_useful(gains: Sequence[PredictionGain], least: float) -> int | None:
+    """Place of the effect that improves predictions least, of those that do not enough; None if all do."""
+    small = [k for k, gain in enumerate(gains) if not gain.suffices(least)]
+    return min(small, key=lambda k: gains[k].log_fall, default=None)
+
+
 class _Selector:
     def __init__(
         self, found: Search, validator: SimulationValidator, known: Catalogue, report: Progress
