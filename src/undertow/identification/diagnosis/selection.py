@@ -175,13 +175,12 @@ class _Selector:
         all_squares = ahead.pop() if all_squares is None else all_squares
         validator = self._predictions.validator
         gains = [gain_of_effects(squares, all_squares, findings, validator) for squares in ahead]
-        redundant = [(g.log_fall, k) for k, g in enumerate(gains) if not g.suffices(self._settings.worth)]
-        if not redundant:
+        place = least_useful(gains, self._settings.worth)
+        if place is None:
             return graded
-        _, least = min(redundant)
-        weakest = graded[removable[least]]
+        weakest = graded[removable[place]]
         _log.info("redundant given the others: %s", weakest.chosen.id)
-        return self._without_superfluous([g for g in graded if g is not weakest], bench, ahead[least])
+        return self._without_superfluous([g for g in graded if g is not weakest], bench, ahead[place])
 
     def _report(self, done: float, words: str) -> None:
         self._done = max(self._done, self._share + done / self._settings.most_effects)
