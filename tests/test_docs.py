@@ -97,7 +97,8 @@ def test_the_files_of_the_page_are_read(tmp_path: Path) -> None:
     channels = {c.channel for c in read_mapping(tmp_path / "log.toml").columns.values()}
     assert {*vehicle.command_names, *vehicle.velocity_names} <= channels
     (tmp_path / "my-rov.toml").write_text(f"{vehicle_file}\n{wrench}", encoding="utf-8")
-    assert load_vehicle(tmp_path / "my-rov.toml").command_names == ("port", "starboard", "surge_force")
+    commands = ("port", "starboard", "surge_force", "yaw_moment")
+    assert load_vehicle(tmp_path / "my-rov.toml").command_names == commands
 
 
 # --- pictures of the catalogue ----------------------------------------------------------------------
