@@ -89,11 +89,6 @@ def words_of(name: str) -> list[str]:
     return [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
 
 
-def is_on_globe(name: str) -> bool:
-    """Whether a column is called a latitude or a longitude."""
-    return kind_on_globe(name) is not None
-
-
 def kind_on_globe(name: str) -> int | None:
     """0 for a column that is called a latitude, 1 for a longitude, None for any other."""
     words = {*words_of(name)}
@@ -105,7 +100,7 @@ def with_signs(cells: pl.Series) -> pl.Series:
 
     In a column of another name the same letters are units: newtons, siemens, watts.
     """
-    if not is_on_globe(cells.name):
+    if kind_on_globe(cells.name) is None:
         return cells
     positive = cells.str.replace(_LETTER.format("NEne"), "${1}")
     return positive.str.replace(_LETTER.format("SWsw"), "-${1}")
@@ -123,9 +118,12 @@ def with_signs_beside(table: pl.DataFrame) -> pl.DataFrame:
 
 def letters_beside(table: pl.DataFrame) -> dict[str, str]:
     """The column with the letters of the hemisphere, by that of the latitude or longitude."""
+    called = {n: kind for n in table.columns if (kind := kind_on_globe(n)) is not None}
+    if not called:  # as in most tables: no cell needs to be looked at
+        return {}
     texts = [n for n in table.columns if table.schema[n] == pl.String]
     letters = {n: kind for n in texts for kind in (0, 1) if _are_letters(table[n], kind)}
-    places = {n: kind for n in table.columns if (kind := kind_on_globe(n)) is not None and n not in letters}
+    places = {n: kind for n, kind in called.items() if n not in letters}
     found = {
         place: name
         for name, kind in letters.items()
@@ -144,8 +142,10 @@ def signed_by_letters(table: pl.DataFrame) -> list[str]:
 
 def _are_letters(cells: pl.Series, kind: int) -> bool:
     """Whether every cell that is not blank is a letter of a hemisphere, as for a latitude or a longitude."""
-    known = cells.drop_nulls().str.strip_chars()
-    return len(known) > 0 and known.str.to_uppercase().is_in([*_LETTERS[kind]]).all()
+    known = cells.drop_nulls()
+    # The first cell decides about most columns.
+    parts = (part.str.strip_chars().str.to_uppercase() for part in (known.head(1), known))
+    return len(known) > 0 and all(part.is_in([*_LETTERS[kind]]).all() for part in parts)
 
 
 def _is_called_so(name: str, kind: int) -> bool:
