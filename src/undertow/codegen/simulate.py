@@ -158,9 +158,7 @@ class Simulator:
         """
         problem = self._problem(x0, t, u, p, max_step)
         first = _start_sensitivities(problem, list(wrt), list(initial), start_slopes)
-        problem.s = np.zeros((*problem.x.shape, problem.wrt.size))
-        problem.s[:, 0] = first
-        self._advance(problem, self._stepper(tuple(problem.wrt.tolist())), 1)
+        self._advance_with_sensitivities(problem, first, self._stepper(tuple(problem.wrt.tolist())))
         return (problem.x[0], problem.s[0]) if np.ndim(x0) == 1 else (problem.x, problem.s)
 
     def products(
@@ -194,10 +192,13 @@ class Simulator:
         if isinstance(stepper, Tangents):
             problem.s = first[:, None]
             return stepper.products(problem, known, factors, groups)
+        self._advance_with_sensitivities(problem, first, stepper)
+        return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
+
+    def _advance_with_sensitivities(self, problem: Problem, first: Array, stepper: Stepper) -> None:
         problem.s = np.zeros((*problem.x.shape, problem.wrt.size))
         problem.s[:, 0] = first
         self._advance(problem, stepper, 1)
-        return products_of(problem.x[..., :size], problem.s[..., :size, :], known, factors, groups)
 
     def _advance(self, problem: Problem, stepper: Stepper, threads: int | None) -> None:
         lanes = getattr(stepper, "lanes", 0)

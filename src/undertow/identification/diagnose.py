@@ -103,8 +103,7 @@ def _confirmed(
     if place is not None:
         worst = ordered.graded[place]
         beside = "" if worst.doubt else selection.doubted_before(worst)
-        doubted = selection.with_doubt(worst, doubt_of_companion(beside))
-        rest = doubted if beside else selection.without(worst)
+        rest = selection.with_doubt(worst, doubt_of_companion(beside)) if beside else selection.without(worst)
         return _confirmed(vehicle, found, validator, known, rest)
     dependent = next((ordered.graded[k] for k in small if not ordered.graded[k].doubt), None)
     if dependent is not None:

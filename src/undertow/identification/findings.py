@@ -229,4 +229,4 @@ def percent(share: float) -> str:
     """A share in percent, with two digits if they are meaningful."""
     if share < 1e-4:
         return "< 0.01%"
-    return f"{100 * share:.0f}%" if share >= 0.1 else f"{100 * share:.2g}%"
+    return f"{share:.0%}" if share >= 0.1 else f"{100 * share:.2g}%"

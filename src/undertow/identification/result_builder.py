@@ -165,9 +165,9 @@ class ResultBuilder:
     def gain_within_all(self, place: int) -> PredictionGain:
         """Improvement of predictions by one effect in addition to all others."""
         findings = self.found.effect_set.findings
-        others = [f for i, f in enumerate(findings) if i != place]
-        without = self.fits[place]
-        if place < len(others):
+        without = self.fits[-2]
+        if place < len(findings) - 1:
+            others = [f for i, f in enumerate(findings) if i != place]
             without = self.validator.final(fitted(self.found.vehicle, others, self.bench).fit)
         before, after = (self.validator.squares_ahead(fit) for fit in (without, self.fits[-1]))
         return gain_of_effects(before, after, [findings[place]], self.validator)

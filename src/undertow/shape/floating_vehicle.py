@@ -154,7 +154,7 @@ def _memory(memory: Memory, hull: FloatingHull) -> EffectTable:
         if name[0] in FORCE and i is not None:
             unit = "N/m" if i < 3 else "N m/rad"
             sigma = abs(value) * float(np.hypot(_RULES.radiation, memory.error[i]))
-            text = f"{source}; {100 * memory.error[i]:.0f}% of the kernel is not fitted"
+            text = f"{source}; {memory.error[i]:.0%} of the kernel is not fitted"
         lines.append(entry_line(name, value, unit, sigma=sigma, source=text))
     return EffectTable(
         memory.effect,
@@ -183,7 +183,7 @@ def _excitation(found: RegularWave, wave: WaveSpec, own: Sequence[int]) -> Effec
     return EffectTable(
         "wave_excitation",
         lines,
-        (f"Harmonics of the heading; they miss {100 * heading_error(found):.1f}% of the forces. For "
+        (f"Harmonics of the heading; they miss {heading_error(found):.1%} of the forces. For "
          "another frequency, make a new file.",),
     )  # fmt: skip
 

@@ -244,8 +244,8 @@ def unlayered(root: Path, tank: Tank) -> Iterator[str]:
         covered = _grid_note(folder_of(root, case, grid) / _GRID).get("covered", 1.0)
         if covered < RULES.covered:
             yield (
-                f"{case.name}, grid {grid}: layers cover {100 * covered:.0f}% of the hull, less than "
-                f"{100 * RULES.covered:.0f}%: do not rely on its drag, or leave small parts out of the mesh "
+                f"{case.name}, grid {grid}: layers cover {covered:.0%} of the hull, less than "
+                f"{RULES.covered:.0%}: do not rely on its drag, or leave small parts out of the mesh "
                 "of the hull and round off inner corners"
             )
 
@@ -351,8 +351,8 @@ def read_results(tank: Tank, case: Case, grid: int, folder: Path, cells: int) ->
         )
     if not case.prescribed and (off := _speed_mismatch(times, v, a)) > RULES.apart:
         raise UndertowError(
-            f"{folder}: the speed of the hull gets {100 * off:.0f}% away from that of its forces, limit "
-            f"{100 * RULES.apart:.0f}%: write the tank again with a smaller --time-step or --prescribed"
+            f"{folder}: the speed of the hull gets {off:.0%} away from that of its forces, limit "
+            f"{RULES.apart:.0%}: write the tank again with a smaller --time-step or --prescribed"
         )
     return Record(times, push, x, v, a, water, grid, cells, processor_seconds(folder))
 

@@ -181,7 +181,7 @@ def _chance(p: float | None) -> str:
     if p is None:
         return ""
     least = SENTENCES.least_probability
-    rate = f"fewer than {100 * least:g}%" if p < least else f"{100 * p:.1f}%"
+    rate = f"fewer than {100 * least:g}%" if p < least else f"{p:.1%}"
     return f" Chance does as well in {rate} of cases."
 
 

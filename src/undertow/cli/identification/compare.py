@@ -102,7 +102,7 @@ def _forces(result: ComparisonResult) -> Any:
     for d in result.dofs:
         name, value = max(d.inputs.items(), key=lambda item: abs(item[1]), default=("", 0.0))
         first = f"{d.autocorrelation[0]:.2f}" if d.autocorrelation else ""
-        row = (_number(d.residual_rms), _number(d.noise_rms), f"{100 * d.explained_by_noise:.0f}%", first)
+        row = (_number(d.residual_rms), _number(d.noise_rms), f"{d.explained_by_noise:.0%}", first)
         most = f"{name} {value:+.2f}"
         rows.append((f"{d.degree_of_freedom} [{d.unit}]", *row, f"{d.p_value:.1g}", most))
     return table(("motion", "rms", "noise", "noise explains", "lag 1", "white: p", "most with"), rows)

@@ -268,7 +268,7 @@ def show_afloat(made: FloatingVehicle) -> None:
     ]
     heads = ("rad/s", *(f"A{i + 1}{i + 1}" for i in own), *(f"B{i + 1}{i + 1}" for i in own))
     console().print(table(heads, rows, indent=0))
-    left = ", ".join(f"{VELOCITY[i]} {100 * e:.0f}%" for i, e in memory.error.items())
+    left = ", ".join(f"{VELOCITY[i]} {e:.0%}" for i, e in memory.error.items())
     say(f"memory: {memory.effect}, order {memory.order}; residual of its kernel: {left}")
 
 

@@ -147,7 +147,7 @@ def predictable_in_words(
     correlates : bool
         Whether the residual force correlates with something, which may be position or time.
     """
-    shares = [f"{100 * p.at_most:.0f}% in {p.degree_of_freedom}" for p in found if p.significant]
+    shares = [f"{p.at_most:.0%} in {p.degree_of_freedom}" for p in found if p.significant]
     rest = [
         f"{p.disturbance_rms:.2g} {p.unit} rms in {p.degree_of_freedom}" for p in found if p.disturbance_rms
     ]

@@ -290,7 +290,7 @@ def sentence(left: Remaining, above_noise: bool) -> str:
 def _clauses(left: Remaining) -> Iterator[str]:
     for dependence in left.depends_on:
         action = effect_on_motion(dependence, left.degree_of_freedom, left.unit)
-        yield f"{_percent(dependence.share)} of it correlates with {_term_in_words(dependence)} ({action})"
+        yield f"{dependence.share:.0%} of it correlates with {_term_in_words(dependence)} ({action})"
     if left.spectrum is not None:
         yield _period_in_words(left.spectrum, left.unit)
     yield from map(_run_difference_in_words, left.between_runs)
@@ -334,7 +334,7 @@ def _term_in_words(dependence: Dependence) -> str:
 
 def _period_in_words(spectrum: Spectrum, unit: str) -> str:
     phase = "" if spectrum.in_step else ", with a different phase in every run"
-    size = f"amplitude {spectrum.amplitude:.2g} {unit}, {_percent(spectrum.share)} of it{phase}"
+    size = f"amplitude {spectrum.amplitude:.2g} {unit}, {spectrum.share:.0%} of it{phase}"
     return f"period {spectrum.period:.3g} s stands out ({size})"
 
 
@@ -342,10 +342,6 @@ def _run_difference_in_words(difference: BetweenRuns) -> str:
     values = [float(np.linalg.norm(v)) if len(v) > 1 else v[0] for v in difference.values.values()]
     size = f"{min(values):.2g} to {max(values):.2g} {difference.unit}"
     return f"the {difference.of} differs from run to run ({size})"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f}%"
 
 
 def _without_inputs(terms: Iterable[Term], vehicle: Vehicle) -> Iterator[Term]:

@@ -368,8 +368,8 @@ def swapped_commands(vehicle: Vehicle, runs: Sequence[Run] = ()) -> Iterator[Mis
     for one, other in combinations(vehicle.thrusters, 2):
         a, b = (np.array(t.wrench)[rows] * t.thrust_per_command.value for t in (one, other))
         given = [np.nan_to_num(run.matrix((one.name, other.name))).T for run in runs]
-        told_apart = not given or any(map(_differ, *zip(*given, strict=True)))
-        if told_apart and _differ(a, b):
+        distinct = not given or any(map(_differ, *zip(*given, strict=True)))
+        if distinct and _differ(a, b):
             yield exchanged(
                 "swapped_thrusters",
                 f"commands {one.name} and {other.name} are swapped",

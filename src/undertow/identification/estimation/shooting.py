@@ -324,7 +324,9 @@ class Shooting:
         """Sums over windows, batch by batch, in the order of the windows."""
         if self.by_run:
             return [part for one in self.by_run for part in self._products_of_run(one, p, starts[one.rows])]
-        finite = self._by_differences(p, starts)
+        finite = self.delay_slopes(
+            p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p)
+        )
         inherited = self.inherited_slopes(p, starts)
         start, commands = self.predictor.start_and_commands(self.windows, p, starts)
         return [
@@ -392,10 +394,6 @@ class Shooting:
     def _dead_times(self) -> ca.SX:
         f = self.functions
         return ca.vertcat(f.convert(f.vehicle.composition.dead_time), f.report_age)
-
-    def _by_differences(self, p: Array, starts: Array) -> dict[int, Array]:
-        """Derivatives of the report in delays, by finite differences."""
-        return self.delay_slopes(p, lambda moved: self.predictor.reports(self.windows, moved, starts, near=p))
 
     def delay_slopes(self, p: Array, of: Callable[[Array], Array]) -> dict[int, Array]:
         """Derivatives in those free parameters that delay commands or sensors, by finite differences."""

@@ -180,9 +180,7 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
 
     A fix at zero and zero is that of a receiver without one.
     """
-    written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
-    degrees = {name: written.format(in_formula(name)) for name, _ in (latitude, longitude)}
-    lat, lon = in_degrees(latitude, longitude)
+    degrees, (lat, lon) = _degrees(latitude, longitude)
     fixes = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
     if not len(fixes) or np.nanmax(np.abs(lat)) > 90.0 or np.nanmax(np.abs(lon)) > 360.0:
         return {}
@@ -198,9 +196,17 @@ def place_of(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> dict[
 
 def in_degrees(latitude: tuple[str, Array], longitude: tuple[str, Array]) -> tuple[Array, Array]:
     """Latitude and longitude, degrees, by their names and values in whatever unit these are."""
+    return _degrees(latitude, longitude)[1]
+
+
+def _degrees(
+    latitude: tuple[str, Array], longitude: tuple[str, Array]
+) -> tuple[dict[str, str], tuple[Array, Array]]:
+    """Formulas for degrees by name, and the values of both."""
     written = _DEGREES[unit_of_place(latitude[1], longitude[1])]
-    lat, lon = (Formula(written.format(in_formula(n))).of({n: data}) for n, data in (latitude, longitude))
-    return lat, lon
+    formulas = {name: written.format(in_formula(name)) for name, _ in (latitude, longitude)}
+    lat, lon = (Formula(formulas[name]).of({name: data}) for name, data in (latitude, longitude))
+    return formulas, (lat, lon)
 
 
 _MINUTES = "degrees and minutes (4854.6 for 48 degrees 54.6', west and south negative)"

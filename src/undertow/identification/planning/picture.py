@@ -130,7 +130,7 @@ def _share(known: PlannedParameter, error: float | None) -> float:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g}%" if share < 1 else f"{100 * share:.0f}%"
+    return f"{100 * share:.2g}%" if share < 1 else f"{share:.0%}"
 
 
 def _draw_distances(axis: Any, plan: Plan) -> None:

@@ -178,7 +178,7 @@ def chance(p_value: float | None) -> str:
     if p_value is None:
         return ""
     least = SETTINGS.least_probability
-    return f"< {least:.1%}" if p_value < least else f"{100 * p_value:.1f}%"
+    return f"< {least:.1%}" if p_value < least else f"{p_value:.1%}"
 
 
 def errors(ahead: Mapping[str, float]) -> str:
