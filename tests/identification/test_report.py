@@ -537,7 +537,7 @@ def test_what_the_doctor_is_sure_of_comes_before_any_missing_effect() -> None:
     )
     late = Found(id="late_velocity", severity="warning", text="velocity 0.2 s late")
     first = "First correct the mistakes in the logs or the vehicle file: thruster 'f1' pushes backwards."
-    said = "Adding mini-auv brings the error from 6.25 to 1.02 times the noise on validation runs."
+    said = "Adding mini-auv lowers the residual from 6.25 to 1.02 times the noise on validation runs."
     assert reported(late, mistake).headline == f"{first} {said} headline of mini-auv"
     assert reported(mistake).warnings[0] == "mistake: a: thruster 'f1' pushes backwards: yaw shows it"
     assert reported(late).headline == f"{said} headline of mini-auv"

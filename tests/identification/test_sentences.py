@@ -131,6 +131,16 @@ def test_the_position_is_said_where_it_gains_most() -> None:
     assert "free run" not in sensor.position  # what diverges has no size
 
 
+def test_the_residual_is_said_where_sensor_noise_hides_what_predictions_gain() -> None:
+    before = Step(added=[], error=1.37, ahead={"5 s": 0.0241, "20 s": 0.0221})
+    after = Step(added=["wind"], error=1.0, ahead={"5 s": 0.0240, "20 s": 0.0220})
+    assert step_changes(before, after) == (
+        "lowers the residual from 1.37 to 1 times the noise and leaves the 5-s error at 2.4% and the 20-s "
+        "error at 2.2%"
+    )
+    assert step_changes(after, before).startswith("leaves the 5-s error")
+
+
 def test_the_position_is_said_over_the_horizon_that_counts_for_it() -> None:
     """A lever arm may improve the position over 30 s by enough to be named, and no other prediction."""
     same = {"8 s": 0.030, "30 s": 0.047, "70 s": 0.05}

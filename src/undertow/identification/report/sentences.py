@@ -122,11 +122,18 @@ def step_changes(before: Step, after: Step) -> str:
     of_velocities, _ = _largest_fall(before.ahead, after.ahead)
     fall, horizon = _largest_fall(before.position, after.position)
     if fall < max(DEFAULT.worth, of_velocities):
-        return velocities
+        # Where sensor noise is most of the prediction errors, a missing force shows in the residual alone.
+        residual_only = not velocities.startswith("lowers") and rises(after.error, before.error)
+        residual = _lowers_residual(before.error, after.error) if residual_only else ""
+        return listed([part for part in (residual, velocities) if part])
     sizes = " to ".join(f"{step.position[horizon]:.2g}" for step in (before, after))
     position = f"lowers the position error over {horizon} from {sizes} m"
     parts = [velocities, position] if velocities.startswith("lowers") else [position, velocities]
     return listed([part for part in parts if part])
+
+
+def _lowers_residual(before: float, after: float) -> str:
+    return f"lowers the residual from {before:.3g} to {after:.3g} times the noise"
 
 
 def _largest_fall(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[float, str]:
@@ -347,9 +354,7 @@ def _adding(diagnosis: Diagnosis) -> str:
 
 def _change(diagnosis: Diagnosis) -> str:
     """How the effects, and changed values, affect the error."""
-    plain, after = _without_and_with(diagnosis)
-    by_horizon = step_changes(plain, after)
-    return by_horizon or f"brings the error from {plain.error:.3g} to {after.error:.3g} times the noise"
+    return step_changes(*_without_and_with(diagnosis)) or "changes no prediction"
 
 
 def _without_and_with(diagnosis: Diagnosis) -> tuple[Step, Step]:
@@ -409,7 +414,7 @@ def _shows_too(diagnosis: Diagnosis) -> str:
 
 
 def _residual_lowered(c: Ranked) -> str:
-    return f"{c.effect} lowers the residual from {c.error_before:.3g} to {c.error_after:.3g} times the noise"
+    return f"{c.effect} {_lowers_residual(c.error_before, c.error_after)}"
 
 
 def _predicted(part: Predictability) -> str:
