@@ -464,6 +464,16 @@ def test_a_heading_that_would_turn_all_motion_away_is_not_tried() -> None:
         assert (at.without(heading_off_by(angle, LogMapping())) is not None) is tried
 
 
+def test_a_reading_in_which_nothing_moves_explains_no_late_velocity() -> None:
+    """A hull with surge alone: with east for north, x stands still, and any velocity agrees with that."""
+    case = make_case("box", (), 3, duration=60.0, runs=("multisine",))
+    (columns,) = case.runs.values()
+    late = broken.late(1.2)(columns)
+    findings = examine(vehicle_of(case), [run_of("late", late)]).result.findings
+    assert [f.id for f in findings if f.severity != "note"] == ["late_velocity"]
+    assert findings[0].evidence["delay"] == pytest.approx(1.2, abs=0.05)
+
+
 @pytest.mark.parametrize(("hidden", "agree"), [("white_force_10", True), ("velocity_lever_arm", False)])
 def test_a_disturbance_of_forces_is_no_contradiction_between_pose_and_velocity(
     hidden: str, agree: bool

@@ -141,9 +141,11 @@ def examine(
     report(0.4, "comparing motion with commands")
     if examiner.is_timed:
         examiner.undo_model_mistakes()
-    report(0.9, "checking sensors and excitation")
+    report(0.7, "checking sensors and excitation")
     rows = excitation(vehicle, examiner.runs)
     examiner.check_sensors()
+    report(0.8, "checking the clock of the commands and the vehicle file")
+    examiner.check_vehicle_file()
     examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
     result = Examination(
         undertow=__version__,
@@ -220,6 +222,7 @@ class _Examiner:
         self.edits: list[Edit] = []
         self.refused: Finding | None = None
         self.unmeasured: Finding | None = None
+        self._fitted: tuple[Sequence[Run], Dynamics | None] = ((), None)
 
     @property
     def is_timed(self) -> bool:
@@ -317,9 +320,8 @@ class _Examiner:
             self._undo(found, impossible=True)
 
     def undo_model_mistakes(self) -> None:
-        at: Dynamics | None = None
         for _ in range(SETTINGS.most_mistakes):
-            at = dynamics_of(self.vehicle, self.runs)
+            at = self._dynamics()
             if at is None or not at.unexplained:
                 break
             found = self._model_mistake(at)
@@ -333,10 +335,12 @@ class _Examiner:
             doubtful = doubtful_unit(self.vehicle, self.runs, self.mapping, self.kinematics)
             if doubtful is not None:
                 self._doubt(doubtful, [*(r.clause for r in doubtful.rivals), _WEAK_THRUSTERS])
-        if at is None:
-            self.findings += not_fitted(self.vehicle, self.runs)
-        else:
-            self._check_vehicle_file(at)
+
+    def _dynamics(self) -> Dynamics | None:
+        """The vehicle fitted to the logs as they are now; None where that cannot be done."""
+        if self._fitted[0] is not self.runs:
+            self._fitted = (self.runs, dynamics_of(self.vehicle, self.runs))
+        return self._fitted[1]
 
     def _other_explanations(self, at: Dynamics, mistake: Mistake) -> list[str]:
         """What else than another unit or sign explains how the model does."""
@@ -368,16 +372,6 @@ class _Examiner:
             self._doubt(doubt, [*(m.clause for m in doubt.rivals), _MODEL])
         return None
 
-    def _check_vehicle_file(self, at: Dynamics) -> None:
-        """The clock of the commands, and mistakes in the vehicle file."""
-        if at.unexplained or any(run.reported for run in self.runs):
-            clock = command_clock(at, self.mapping)
-            self.findings += [] if clock is None else [clock]
-        if at.unexplained:
-            self.findings += lost_signs(at)
-        if (mass := other_mass(at)) is not None:
-            self.findings.append(mass)
-
     def check_sensors(self) -> None:
         self.findings += sensors.not_compared(self.kinematics, self.vehicle)
         self.findings += heading_findings(self.vehicle, self.mapping, self.runs)
@@ -393,9 +387,27 @@ class _Examiner:
             self.findings += sensors.sensor_findings(kinematics, prompt)
             self.findings += clock_findings(kinematics, self.runs, found, self.mapping)
             self.findings += sensors.agreement(kinematics, prompt)
-            for one in found:
-                self._add_edits(delay_edits(one, self.mapping) if one.clear(self.runs[0].step) else ())
-            self.runs = prompt
+            clear = [one for one in found if one.clear(self.runs[0].step)]
+            for one in clear:
+                self._add_edits(delay_edits(one, self.mapping))
+            if clear:
+                self.runs = prompt
+
+    def check_vehicle_file(self) -> None:
+        """The clock of the commands, and mistakes in the vehicle file, judged by sensors that are in time."""
+        if not self.is_timed:
+            return
+        at = self._dynamics()
+        if at is None:
+            self.findings += not_fitted(self.vehicle, self.runs)
+            return
+        if at.unexplained or any(run.reported for run in self.runs):
+            clock = command_clock(at, self.mapping)
+            self.findings += [] if clock is None else [clock]
+        if at.unexplained:
+            self.findings += lost_signs(at)
+        if (mass := other_mass(at)) is not None:
+            self.findings.append(mass)
 
     def _undo_deviation(self) -> None:
         """Turn headings, and what was turned by them, by the deviation of the compass, if that is sure."""

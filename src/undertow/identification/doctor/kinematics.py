@@ -228,6 +228,14 @@ class Kinematics:
         power = first.pose**2 + first.velocity**2
         return np.array([change[:, b].sum() / max(power[:, b].sum(), 1e-30) for b in self.blocks])
 
+    def still(self, first: Rates, second: Rates) -> Flags:
+        """Whether a block moves in the first rates, and hardly in the second, by pose and velocity, (b,)."""
+        before, after = (
+            np.array([[np.sum(table[:, b] ** 2) for b in self.blocks] for table in (r.pose, r.velocity)])
+            for r in (first, second)
+        )
+        return np.asarray(np.all(after < SETTINGS.hardly * before, axis=0))
+
 
 def jacobian(pose: Array) -> Array:
     """J(eta) with d(eta)/dt = J(eta) nu, from (n, 6) poses, shape (n, 6, 6) (Fossen 2021, chapter 2)."""
