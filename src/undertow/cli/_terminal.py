@@ -73,11 +73,6 @@ def open_streams() -> None:
             stream.reconfigure(errors=_READABLE)
 
 
-def readable(shown: str, encoding: str) -> str:
-    """The same text with what an encoding cannot hold written in ASCII."""
-    return shown.encode(encoding, _READABLE).decode(encoding)
-
-
 def hide_warnings() -> None:
     """Python's warnings speak of lines of code: they are shown only where -W or PYTHONWARNINGS ask for them.
 
@@ -152,7 +147,7 @@ class Printer:
         from rich.text import Text
 
         if isinstance(content, Text) and (self._console.is_terminal or not soft_wrap):
-            content = _joined(_wrapped_text(content, self._console.width))
+            content = Text("\n").join(_wrapped_text(content, self._console.width))
         self._console.print(content, no_wrap=True, overflow="ignore", crop=False)
 
 
@@ -168,20 +163,21 @@ def text(content: str, style: str = "") -> Any:
     """
     from rich.text import Text
 
-    return Text(_encodable(printable(content), _encoding()), style=style)
+    return Text(_encodable(printable(content)), style=style)
 
 
 def _encoding() -> str:
     return getattr(sys.stdout, "encoding", None) or "utf-8"
 
 
-def _encodable(shown: str, encoding: str) -> str:
+def _encodable(shown: str) -> str:
+    encoding = _encoding()
     try:
         shown.encode(encoding)
     except UnicodeEncodeError:
         for letter, name in _NAMES.items():
             shown = shown.replace(letter, name)
-    return readable(shown, encoding)
+    return shown.encode(encoding, _READABLE).decode(encoding)
 
 
 def wrapped(words: str, width: int) -> list[str]:
@@ -199,12 +195,6 @@ def _wrapped_text(content: Any, width: int) -> list[Any]:
     indent = " " * (len(content.plain) - len(content.plain.lstrip(" ")))
     lines = wrapped(content.plain.strip(), width - len(indent))
     return [text(indent + line, content.style) for line in lines]
-
-
-def _joined(lines: Iterable[Any]) -> Any:
-    from rich.text import Text
-
-    return Text("\n").join(lines)
 
 
 def say(line: str, style: str = "") -> None:
@@ -419,7 +409,8 @@ class _Bar:
             self._draw()
 
     def show(self, console: Any = None) -> None:
-        from rich.progress import Progress  # slow to import, and mostly not needed
+        from rich.console import Console  # slow to import, and mostly not needed
+        from rich.progress import Progress
 
         with self._lock:
             if self._closed:
@@ -427,7 +418,7 @@ class _Bar:
             # The time left is estimated from all that was done: minutes may pass between reports.
             every = 3600.0
             self._picture = Progress(
-                console=console or _terminal(), transient=True, speed_estimate_period=every
+                console=console or Console(stderr=True), transient=True, speed_estimate_period=every
             )
             self._task = self._picture.add_task(self._words, total=self._total)
             self._picture.start()
@@ -444,12 +435,6 @@ class _Bar:
             from rich.markup import escape  # names out of files are not markup
 
             self._picture.update(self._task, completed=self._done, description=escape(self._words))
-
-
-def _terminal() -> Any:
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 class _ToStderr(logging.Handler):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from undertow.errors import UndertowError
-from undertow.files import check_folder, write_whole
+from undertow.files import check_folder, make_folder, write_whole
 from undertow.identification.estimation.step import bounds_of, nearest_physical
 from undertow.model.parameter import printed
 from undertow.model.units import short_unit
@@ -201,10 +201,7 @@ class Store:
     def __init__(self, folder: Path) -> None:
         check_folder(folder)
         self.folder = folder / "partitions"
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UndertowError(f"cannot make '{self.folder}': {error.strerror}; choose another") from error
+        make_folder(self.folder)
 
     def _path(self, fingerprint: str, sha256: str) -> Path:
         return self.folder / f"{hashlib.sha256(f'{fingerprint}{sha256}'.encode()).hexdigest()}.npz"

@@ -219,17 +219,13 @@ class FloatingBody:
         return (found + found.T) / 2
 
     def _radiation_problems(self, body: Any, omega: float) -> list[Any]:
-        return [
-            self._cpt.RadiationProblem(
-                body=body,
-                radiating_dof=d,
-                omega=omega,
-                rho=self.density,
-                g=ENVIRONMENT.gravity,
-                free_surface=0.0,
-            )
-            for d in body.dofs
-        ]
+        given = self._at_surface(body, omega)
+        return [self._cpt.RadiationProblem(radiating_dof=d, **given) for d in body.dofs]
+
+    def _at_surface(self, body: Any, omega: float) -> dict[str, Any]:
+        """What every problem at a frequency is given."""
+        water = {"rho": self.density, "g": ENVIRONMENT.gravity, "free_surface": 0.0}
+        return {"body": body, "omega": omega, **water}
 
     # --- a regular wave ---------------------------------------------------------------------------
     def regular_wave(self, omega: float, inertia: Array) -> RegularWave:
@@ -241,17 +237,8 @@ class FloatingBody:
             )
         headings = np.linspace(0.0, np.pi, FLOATING_RULES.headings)
         # With z up a wave that travels to starboard travels to minus y.
-        problems = [
-            self._cpt.DiffractionProblem(
-                body=self._body,
-                wave_direction=-h,
-                omega=omega,
-                rho=self.density,
-                g=ENVIRONMENT.gravity,
-                free_surface=0.0,
-            )
-            for h in headings
-        ]
+        given = self._at_surface(self._body, omega)
+        problems = [self._cpt.DiffractionProblem(wave_direction=-h, **given) for h in headings]
         scattered = solved(self._cpt, problems, omega)
         pressed = self._cpt.bem.airy_waves.froude_krylov_force
         dofs = list(self._body.dofs)

@@ -64,12 +64,8 @@ def _projected(mesh: Mesh, onto: Mesh) -> Mesh:
 
 def _is_curved(mesh: Mesh, crease: float) -> bool:
     edges, of_face = each_edge(mesh)
-    bulge = _bulge(mesh, edges, of_face, np.diff(mesh.vertices[edges], axis=1)[:, 0], _cosine(crease))
+    bulge = _bulge(mesh, edges, of_face, np.diff(mesh.vertices[edges], axis=1)[:, 0], crease)
     return bool(np.abs(bulge).max() > PANEL_RULES.flat * mesh.extents.max())
-
-
-def _cosine(degrees: float) -> float:
-    return float(np.cos(np.radians(degrees)))
 
 
 def curved(mesh: Mesh, crease: float = PANEL_RULES.crease) -> Mesh:
@@ -82,12 +78,13 @@ def curved(mesh: Mesh, crease: float = PANEL_RULES.crease) -> Mesh:
     """
     edges, of_face = each_edge(mesh)
     a, b = mesh.vertices[edges[:, 0]], mesh.vertices[edges[:, 1]]
-    middles = (a + b) / 2 + _bulge(mesh, edges, of_face, b - a, _cosine(crease))
+    middles = (a + b) / 2 + _bulge(mesh, edges, of_face, b - a, crease)
     return quartered(mesh, of_face, middles)
 
 
-def _bulge(mesh: Mesh, edges: Faces, of_face: Faces, along: Array, least_cosine: float) -> Array:
+def _bulge(mesh: Mesh, edges: Faces, of_face: Faces, along: Array, crease: float) -> Array:
     """How far the middles of the edges lie off the chord, m."""
+    least_cosine = float(np.cos(np.radians(crease)))
     flat = mesh.vector_areas / mesh.areas[:, None]
     smooth = _corner_normals(mesh, flat, least_cosine)
     total = np.zeros((len(edges), 2, 3))

@@ -255,11 +255,10 @@ def _glider(size: MainDimensions) -> Made:
     return about, _SIX, tables, [rudder]
 
 
-def _spindle(size: MainDimensions, stations: int = 37, around: int = 32) -> Mesh:
-    """A hull with elliptic sections as full as its mass asks for: radius (1 - |2x/L|^n)^(1/n).
-
-    No ring lies at a station of `Mesh.widths`, where a plane through corners would miss their triangles.
-    """
+def _spindle(size: MainDimensions) -> Mesh:
+    """A hull with elliptic sections as full as its mass asks for: radius (1 - |2x/L|^n)^(1/n)."""
+    # No ring lies at a station of `Mesh.widths`, where a plane through corners would miss their triangles.
+    stations, around = 37, 32
     share = size.displaced / (pi / 4 * size.length * size.beam * size.height)
     places = np.cos(np.linspace(pi, 0.0, stations + 1))
     grid = np.geomspace(*_RULES.profile, _RULES.profiles)
@@ -427,17 +426,17 @@ def _azimuth(size: MainDimensions) -> Made:
 
 
 def _surface_craft(
-    size: MainDimensions, hull: list[EffectTable], low: float = _RULES.block[0], high: float = _RULES.block[1]
+    size: MainDimensions, hull: list[EffectTable], low: float = _RULES.block[0]
 ) -> list[EffectTable]:
     """Tables of a surface craft: body, resistance and cross-flow, and what is its hull's own.
 
-    `low`, `high`: block coefficients that it may have.
+    `low`: least block coefficient that it may have.
     """
     if size.beam > size.length:
         raise UndertowError(
             f"beam = {size.beam:g} m exceeds length = {size.length:g} m: length is along, beam across it"
         )
-    block = _block_coefficient(size)
+    block, high = _block_coefficient(size), _RULES.block[1]
     if not low <= block <= high:
         raise UndertowError(
             f"mass = {size.mass:g} kg is a block coefficient of {block:.3g} (possible: {low:g} to {high:g}): "

@@ -18,6 +18,7 @@ from .view import View, action, heading, lines, stale
 
 _TOGGLE = "unelevated toggle-color=blue-grey-6 color=grey-3 text-color=black"
 _NAMES = {"mistake": "#c62828", "warning": "#ff8f00"}
+_VERBS: dict[Role, str] = {"train": "Train on it", "judge": "Judge by it", "out": "Leave it out"}
 _SEVERITY = {"mistake": "red", "warning": "amber-10", "note": "grey"}
 
 
@@ -103,7 +104,7 @@ def _channels(view: View) -> None:
     with ui.row().classes("items-center gap-2"):
         chosen = ui.label().classes("text-sm").mark("selected")
         for role in ROLES:
-            ui.button(_verb(role), on_click=lambda role=role: _choose(view, role)).props(
+            ui.button(_VERBS[role], on_click=lambda role=role: _choose(view, role)).props(
                 "dense no-caps outline size=sm padding='2px 10px'"
             ).style(f"color: {figures.COLOURS[role]} !important").mark(f"choose-{role}")
         if view.cell is not None and _marks(view, run):
@@ -149,10 +150,6 @@ def _in_order(view: View) -> list[str]:
         *run.channels,
     )
     return [n for n in dict.fromkeys(first) if run.has(n)]
-
-
-def _verb(role: Role) -> str:
-    return {"train": "Train on it", "judge": "Judge by it", "out": "Leave it out"}[role]
 
 
 def _unmark(view: View) -> None:

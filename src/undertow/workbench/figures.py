@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import html
 import math
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from html import escape
 from io import BytesIO
 from typing import Any
 
@@ -64,8 +64,8 @@ def typeset(latex: str) -> str | None:
     return f"data:image/svg+xml;base64,{b64encode(stream.getvalue()).decode()}"
 
 
-def plain(values: Iterable[float], digits: int = 7) -> Line:
-    """Numbers for JSON, in as many digits as a screen can show; None where there is none."""
+def plain(values: Iterable[float], digits: int = 6) -> Line:
+    """Numbers for JSON, in more digits than a screen shows; None where there is none."""
     return [float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in values]
 
 
@@ -74,15 +74,10 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def escaped(text: str) -> str:
-    """A name for a picture, where Plotly would read tags in it."""
-    return html.escape(text)
-
-
 def label(name: str, unit: str) -> str:
     """A variable with its unit."""
     shown = unit_text(unit)
-    return escaped(f"{name} ({shown})" if shown not in ("", "1", "command") else name)
+    return escape(f"{name} ({shown})" if shown not in ("", "1", "command") else name)
 
 
 def _figure(data: list[Figure], height: int, **layout: Any) -> Figure:
@@ -107,11 +102,6 @@ def _axis(title: str = "", **more: Any) -> Figure:
 
 
 # --- logs ---------------------------------------------------------------------------------------
-def unit_of(name: str, commands: Mapping[str, str]) -> str:
-    """Unit of a channel of a run."""
-    return UNITS.get(name, commands.get(name, ""))
-
-
 def channels(
     run: Run,
     names: Sequence[str],
@@ -145,12 +135,12 @@ def channels(
     shapes += [_band(a, b, _MARK, 0.45) for a, b in marks]
     shapes += [_box(*selected)] if selected else []
     layout = {
-        **_stacked([label(name, unit_of(name, units)) for name in names]),
+        **_stacked([label(name, UNITS.get(name, units.get(name, ""))) for name in names]),
         "shapes": shapes,
         "dragmode": "select",
         "selectdirection": "h",
         "hovermode": "x",
-        "uirevision": escaped(run.name),
+        "uirevision": escape(run.name),
         "margin": {"l": 80, "r": 15, "t": 28, "b": 45},
     }
     for row, name in enumerate(names, start=1):
@@ -202,7 +192,7 @@ def _channel(run: Run, name: str, row: int, window: tuple[float, float], colour:
     first, last = np.searchsorted(run.t, window)
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     t, y = decimated(run.t[rows], run.channels[name][rows], SETTINGS.pixels)
-    return _curve(plain(t, 9), plain(y), escaped(said), colour, 1, yaxis=f"y{_nth(row)}")
+    return _curve(plain(t, 9), plain(y, 7), escape(said), colour, 1, yaxis=f"y{_nth(row)}")
 
 
 def _curve(x: Sequence[Any], y: Sequence[Any], name: str, colour: str, width: float, **more: Any) -> Figure:
@@ -259,7 +249,7 @@ def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figu
     return _figure(
         [heat],
         44 * len(dofs) + 90,
-        xaxis=_axis(tickvals=heat["x"], ticktext=[escaped(n) for n in names], tickangle=-35, **ticks),
+        xaxis=_axis(tickvals=heat["x"], ticktext=[escape(n) for n in names], tickangle=-35, **ticks),
         yaxis=_axis(tickvals=heat["y"], ticktext=dofs, autorange="reversed", **ticks),
         shapes=shapes,
         margin={"l": 70, "r": 20, "t": 5, "b": 20},
@@ -269,7 +259,7 @@ def error_map(result: Mapping[str, Any], chosen: tuple[str, str] | None) -> Figu
 def _cell_words(cell: Mapping[str, Any], units: Mapping[str, str]) -> str:
     dof, unit = cell["degree_of_freedom"], unit_text(units[cell["degree_of_freedom"]])
     share = cell["explained_by_noise"]
-    return escaped(
+    return escape(
         f"{dof} {cell['phrase']}: residual {cell['residual_rms']:.3g} {unit}, {cell['normalised']:.3g} times "
         f"its noise ({share:.0%} explained by noise), {cell['samples']} samples"
     )
@@ -325,14 +315,14 @@ def residual_against(
         _points(own["values"], force, [not i for i in inside], "#b0bec5", "other times" if regime else "")
     ]
     if regime:
-        data.append(_points(own["values"], force, inside, "#f9a825", escaped(regime)))
+        data.append(_points(own["values"], force, inside, "#f9a825", escape(regime)))
     bins = _of(result["profiles"], dof, variable)
     if bins:
         data += _ribbon(bins["centre"], bins["force"], bins["error"], "#1565c0", "95% of the mean")
         data.append(_line(bins, "mean in bins", "#0d47a1", "lines+markers"))
     supplied = _of(curve[1], dof, variable) if curve else None
     if curve and supplied:
-        data.append(_line(supplied, escaped(f"{curve[0]} would add"), _BETTER, "lines", dash="dash"))
+        data.append(_line(supplied, escape(f"{curve[0]} would add"), _BETTER, "lines", dash="dash"))
     return _figure(
         data,
         360,
@@ -384,11 +374,11 @@ def simulation(
         data.append(_trace(channel["simulated"], model, _MODEL, axis, first))
         if better is not None:
             own = better[1]["channels"][row - 1]
-            data.append(_trace(own["simulated"], escaped(better[0]), _BETTER, axis, first))
+            data.append(_trace(own["simulated"], escape(better[0]), _BETTER, axis, first))
     title = f"{run['run']}, simulated every {horizon} from the measured motion"
-    layout["xaxis"]["title"]["text"] = escaped(f"time (s); {title}")
+    layout["xaxis"]["title"]["text"] = escape(f"time (s); {title}")
     return _figure(
-        data, 105 * rows + 110, **layout, showlegend=True, hovermode="x", uirevision=escaped(run["run"])
+        data, 105 * rows + 110, **layout, showlegend=True, hovermode="x", uirevision=escape(run["run"])
     )
 
 
@@ -398,7 +388,7 @@ def _trace(points: Sequence[Line], name: str, colour: str, axis: str, first: boo
 
 def waterfall(bars: Sequence[tuple[str, float | None]], unit: str, *, floor: float | None) -> Figure:
     """The error from model to model, on a logarithmic axis where it falls far."""
-    shown = [(escaped(name), value) for name, value in bars if value is not None]
+    shown = [(escape(name), value) for name, value in bars if value is not None]
     values = [value for _, value in shown]
     far = bool(values) and min(values) > 0 and max(values) / min(values) > 8
     last = len(shown) - 1
@@ -436,7 +426,7 @@ def _folded(name: str) -> str:
 def against_priors(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Estimates beside what was stated, both over the stated value, with 95% intervals."""
     used = [r for r in rows if r["prior"] and r["estimate"] is not None]
-    names = [escaped(parameter_text(r["name"])) for r in used]
+    names = [escape(parameter_text(r["name"])) for r in used]
     stated = _dots(names, [1.0] * len(used), [_over(r["prior_sigma"], r["prior"]) for r in used])
     found = _dots(
         names,
@@ -467,7 +457,7 @@ def _dots(names: list[str], x: list[float], half: list[float]) -> Figure:
 
 def correlations(names: Sequence[str], table: Sequence[Sequence[float]]) -> Figure:
     """Correlation of the errors of the estimates."""
-    shown = [escaped(n) for n in names]
+    shown = [escape(n) for n in names]
     heat = {
         "type": "heatmap",
         "x": shown,

@@ -24,7 +24,7 @@ from undertow.model.vehicle import Vehicle
 
 from . import figures
 from .session import FORCE, REFITTED, ModelStep, Workspace, shown_path
-from .view import View, action, button, equation, heading, lines, measure_words, measures, shown, stale
+from .view import View, action, button, equation, heading, lines, measure_words, shown, stale
 
 
 # --- What is missing ------------------------------------------------------------------------------
@@ -73,7 +73,7 @@ def _verdict(found: Mapping[str, Any], current: bool) -> None:
 def _measure(view: View, found: Mapping[str, Any]) -> None:
     """Which error counts, on this page and in every window."""
     session = view.bench.session
-    names = measures(found["errors"])
+    names = [FORCE, *(name for name in found["errors"] if name != FORCE)]
     session.measure = session.measure if session.measure in names else FORCE
 
     def chosen(name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -104,6 +104,11 @@ class Job:
         pairs = zip(self.place.session.chosen(runs), runs, strict=True)
         return [part for choice, run in pairs for part in choice.parts(run)]
 
+    @property
+    def used(self) -> list[Run]:
+        """The segments that are not left out."""
+        return [run for role, run in self.chosen if role != "out"]
+
     def runs(self, role: str) -> list[Run]:
         """The segments to fit to ("train") or to judge by ("judge")."""
         return [run for own, run in self.chosen if own == role]
@@ -144,17 +149,16 @@ def read_all(place: Workspace, vehicle: Vehicle, *, mended: bool = True) -> list
 
 def examine(job: Job) -> Result:
     """What the doctor says about the logs."""
-    used = [run for role, run in job.chosen if role != "out"]
-    result = doctor(job.vehicle, used, mapping=job.place.mapping(), report=job.report).result
-    return result.model_dump()
+    return doctor(job.vehicle, job.used, mapping=job.place.mapping(), report=job.report).result.model_dump()
 
 
 def compare(job: Job) -> Result:
     """Where the present model fails."""
-    used = [run for role, run in job.chosen if role != "out"]
-    if not used:
+    if not job.used:
         raise UndertowError("all logs are left out: choose a segment on the page Log")
-    found = comparison.compare(job.vehicle, used, progress=_share(job.report, 0.0, 0.8), trust_log=job.trust)
+    found = comparison.compare(
+        job.vehicle, job.used, progress=_share(job.report, 0.0, 0.8), trust_log=job.trust
+    )
     job.report(0.8, "predicting validation data")
     return {**_compared(found), "errors": _predicted(job)}
 
@@ -184,24 +188,24 @@ def _compared(found: Comparison) -> Result:
         "stretches": stretches,
         "profiles": [_profile(p) for p in sorted(found.profiles, key=informativeness, reverse=True)],
         "run": found.forces.run[rows].tolist(),
-        "t": _plain(found.forces.t[rows]),
+        "t": plain(found.forces.t[rows]),
         "missing": _columns(result.degrees_of_freedom, found.forces.missing[rows]),
         "noise": _columns(result.degrees_of_freedom, found.forces.noise[rows]),
-        "variables": {n: {"unit": u, "values": _plain(v[rows])} for n, (u, v) in found.variables.items()},
+        "variables": {n: {"unit": u, "values": plain(v[rows])} for n, (u, v) in found.variables.items()},
     }
 
 
 def _columns(names: Sequence[str], table: Array) -> dict[str, list[float | None]]:
-    return {name: _plain(table[:, i]) for i, name in enumerate(names)}
+    return {name: plain(table[:, i]) for i, name in enumerate(names)}
 
 
 def _profile(p: Profile) -> Result:
     return {
         "dof": p.degree_of_freedom,
         "variable": p.variable,
-        "centre": _plain(p.centre),
-        "force": _plain(p.force),
-        "error": _plain(1.96 * p.error),  # half the 95% interval, as in reports
+        "centre": plain(p.centre),
+        "force": plain(p.force),
+        "error": plain(1.96 * p.error),  # half the 95% interval, as in reports
     }
 
 
@@ -240,7 +244,6 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
     diagnosis, fit = found.diagnosis, found.tried[name]
     ranked = next(r for r in diagnosis.ranking if r.effect == name)
     alike = next((s for s in diagnosis.indistinguishable if name in s.effects), None)
-    used = [run for role, run in job.chosen if role != "out"]
     # In the motions of this vehicle; of all where no parameter of it was kept.
     added = next((e for e in fit.vehicle.all_effects if e.id == name), None)
     whole = describe(job.known[name], job.known).equations
@@ -260,7 +263,7 @@ def _candidate(job: Job, found: DiagnosisResult, name: str, *, with_force: bool)
         "confused": [] if alike is None else [e for e in alike.effects if e != name],
         "tell": "" if alike is None else alike.separated_by,
         "traces": _simulated(job, fit.vehicle),
-        "supplied": [_profile(p) for p in comparison.supplied(job.vehicle, fit.vehicle, used)]
+        "supplied": [_profile(p) for p in comparison.supplied(job.vehicle, fit.vehicle, job.used)]
         if with_force
         else [],
     }
@@ -277,7 +280,7 @@ def _run_traces(run: RunTraces) -> Result:
     for trace in run.traces:
         if trace.channel in VELOCITY:
             lines = {"measured": trace.measured, "simulated": trace.before}
-            drawn = {k: [*map(_plain, decimated(trace.t, y, SETTINGS.pixels))] for k, y in lines.items()}
+            drawn = {k: [*map(plain, decimated(trace.t, y, SETTINGS.pixels))] for k, y in lines.items()}
             channels.append({"name": trace.channel, "unit": trace.unit, **drawn})
     return {"run": run.run, "channels": channels}
 
@@ -323,7 +326,7 @@ def fit(job: Job) -> Result:
         "sentence": done.result().sentence(),
         "parameters": [_finite(row) for row in done.parameters.iter_rows(named=True)],
         "names": list(done.fit.model.free),
-        "correlation": [_plain(row) for row in correlation(done.fit)],
+        "correlation": [plain(row) for row in correlation(done.fit)],
         "remarks": done.remarks,
         "combinations": combined,
         "notes": notes(done.fit),
@@ -433,11 +436,6 @@ TASKS: dict[str, tuple[Callable[[Job], Result], str]] = {
 
 
 # --- numbers for JSON -----------------------------------------------------------------------------
-def _plain(values: Iterable[float]) -> list[float | None]:
-    """Numbers in six digits, which is more than a screen shows; None where there is none."""
-    return plain(values, 6)
-
-
 def _finite(table: Mapping[str, Any]) -> dict[str, Any]:
     """A table without numbers that JSON does not have."""
     return {n: v for n, v in table.items() if not isinstance(v, float) or math.isfinite(v)}

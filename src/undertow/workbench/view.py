@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,12 +61,6 @@ def shown(measure: str, error: float | None) -> str:
     if error is None:
         return "diverges"
     return number(error) if measure == FORCE else f"{number(100 * error)}%"
-
-
-def measures(*tables: Mapping[str, float]) -> list[str]:
-    """Measures that occur, the force first."""
-    found = dict.fromkeys(name for table in tables for name in table)
-    return [FORCE, *(name for name in found if name != FORCE)]
 
 
 def heading(text: str, about: str = "") -> None:

@@ -50,7 +50,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -63,7 +63,7 @@ from .._terminal import console, print_json, progress, say, section, table, text
 if TYPE_CHECKING:
     from undertow.control.conditions.check import Uncertain
     from undertow.control.conditions.repair import Repair, SingleRepair
-    from undertow.control.conditions.result import Channel, FullLoop, Report, Row
+    from undertow.control.conditions.result import FullLoop, Report, Row
     from undertow.control.conditions.tracking import MissionReport
 
 
@@ -291,10 +291,9 @@ def _show_matrices(rows: list[Row]) -> None:
 def _with_numbers(row: Row) -> str:
     if row.verdict == "no iota":
         return _verdict(row)
-    at = f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
     if "λmax" in row.statement:
-        return f"{_distinct_digits(row.left, row.right)}{at} {_verdict(row)}"
-    return f"λmin {_number(row.margin)} > 0{at} {_verdict(row)}"
+        return f"{_distinct_digits(row.left, row.right)}{_at_iota(row)} {_verdict(row)}"
+    return f"λmin {_number(row.margin)} > 0{_at_iota(row)} {_verdict(row)}"
 
 
 def _distinct_digits(left: float, right: float) -> str:
@@ -350,15 +349,13 @@ def _show_routh(report: Report) -> None:
     if not report.channels:
         return
     section("Linearised channels at rest (Routh-Hurwitz)")
-    console().print(
-        table(
-            ("channel", "parameters", "first column", "roots, 1/s", ""),
-            (
-                (c.coordinate, c.signs, _listed(c.first_column), _roots(c.roots), _stability(c))
-                for c in report.channels
-            ),
+    rows = []
+    for c in report.channels:
+        stability = text("stable", _GREEN) if c.stable else text("unstable", _RED)
+        rows.append(
+            (c.coordinate, c.signs, ", ".join(map(_number, c.first_column)), _roots(c.roots), stability)
         )
-    )
+    console().print(table(("channel", "parameters", "first column", "roots, 1/s", ""), rows))
     for name, roots in report.coupled.items():
         grows = roots[0].real > SETTINGS.slowest_decay
         of = f", {name}" if name else ""
@@ -369,14 +366,6 @@ def _show_routh(report: Report) -> None:
         if not channel.stable:
             of = f" ({channel.signs})" if channel.signs else ""
             say(f"  the loop in {channel.coordinate}{of} is linearly unstable: {_roots(channel.roots)}", _RED)
-
-
-def _stability(channel: Channel) -> Any:
-    return text("stable", _GREEN) if channel.stable else text("unstable", _RED)
-
-
-def _listed(values: Sequence[float]) -> str:
-    return ", ".join(_number(v) for v in values)
 
 
 def _roots(roots: Sequence[complex]) -> str:
@@ -480,13 +469,13 @@ def _uncertain(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
         example = row.box.counterexample or row.ellipsoid.counterexample
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in example.items())
         yield (
-            *(row.statement, row.scope, row.signs, _iota(row, row.box.verdict)),
+            *(row.statement, row.scope, row.signs, f"{row.box.verdict}{_at_iota(row)}"),
             *(row.ellipsoid.verdict, shown),
         )
 
 
-def _iota(row: Row, verdict: str) -> str:
-    return f"{verdict} at ι = {row.at_iota:.4g}" if row.at_iota is not None else verdict
+def _at_iota(row: Row) -> str:
+    return f" at ι = {row.at_iota:.4g}" if row.at_iota is not None else ""
 
 
 def _show_repairs(singles: Sequence[SingleRepair], repair: Repair | None) -> None:

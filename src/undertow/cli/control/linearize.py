@@ -203,8 +203,10 @@ def show(found: Analysis, channels: Sequence[Channel]) -> None:
     title = f"Poles of the loop with {found.gains.name}" if found.gains else "Poles"
     title += f", sampled every {found.dt:g} s" if found.dt else ""
     show_modes(title, found.modes)
-    for line in _growth(found):
-        say(f"  {line}", "yellow")
+    if found.growing:
+        names = "; ".join(", ".join(m.states) for m in found.growing)
+        what = "the closed loop" if found.gains else "this steady motion"
+        say(f"  {what} is unstable in {names}: a small deviation grows", "yellow")
     section("Zeros", _zeros(channels, "z" if found.dt else "rad/s"))
     section(_MARGINS[bool(found.gains)], _margins(found.margins(channels)))
     if found.multiloop_disk is not None:
@@ -249,21 +251,10 @@ def shown(value: complex) -> str:
     return f"{value.real:.6f} ± {abs(value.imag):.6f}i"
 
 
-def _growth(found: Analysis) -> list[str]:
-    if not found.growing:
-        return []
-    names = "; ".join(", ".join(m.states) for m in found.growing)
-    what = "the closed loop" if found.gains else "this steady motion"
-    return [f"{what} is unstable in {names}: a small deviation grows"]
-
-
 def _zeros(channels: Sequence[Channel], unit: str) -> object:
-    rows = [(c.name, ", ".join(shown(z) for z in _conjugates_once(c.zeros)) or "none") for c in channels]
+    # Of conjugate zeros one stands for both.
+    rows = [(c.name, ", ".join(shown(z) for z in c.zeros if z.imag >= 0) or "none") for c in channels]
     return table(("channel", f"zeros, {unit}"), rows)
-
-
-def _conjugates_once(values: Sequence[complex]) -> list[complex]:
-    return [v for v in values if v.imag >= 0]
 
 
 def _margins(margins: dict[str, Margins]) -> object:

@@ -402,17 +402,11 @@ def _quadratic_form(x: sm.Matrix, matrix: sm.Matrix) -> sm.Expr:
     return (x.T * matrix * x)[0]
 
 
-def closed_loop_derivative(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
-    """Derivative of an expression along the closed loop of a law that gets the force it asks for.
+def derivative_parts(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.Matrix, sm.Matrix]:
+    """The derivative along the loop but for accelerations, the slope in the velocities, and M nu_dot.
 
-    The sign of a velocity that switches parameters counts as constant.
+    The law gets the force it asks for; the sign of a velocity that switches parameters counts as constant.
     """
-    moved, slope, net = _derivative_parts(value, law, s)
-    return moved + (slope * s.plant.M.LUsolve(net))[0]
-
-
-def _derivative_parts(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr, sm.Matrix, sm.Matrix]:
-    """The derivative of an expression but for accelerations, its slope in the velocities, and M nu_dot."""
     plant = s.plant
     rate = plant.J * plant.nu
     net = law.force(s) - (plant.C + plant.D) * plant.nu - plant.g
@@ -425,19 +419,13 @@ def _derivative_parts(value: sm.Expr, law: Law, s: LawSignals) -> tuple[sm.Expr,
     return moved, sm.Matrix([[value.diff(x) for x in plant.nu]]), net
 
 
-def derivatives(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
-    """The derivative of a law's candidate worked out from the model, and what it is said to be."""
-    candidate, s = CANDIDATES[law.id], LawSignals(plant, law)
-    return closed_loop_derivative(candidate.value(s), law, s), candidate.derivative(s)
-
-
 def derivative_difference(plant: Plant, law: Law) -> float:
-    """Largest relative difference of the two with the numbers of the vehicle, in every sign set.
+    """Largest relative difference of a candidate's derivative from what it is said to be, in every sign set.
 
     Points are random, with random signs of pose, error and motion; gains are positive.
     """
     s, candidate = LawSignals(numeric_plant(plant), law), CANDIDATES[law.id]
-    moved, slope, net = _derivative_parts(candidate.value(s), law, s)
+    moved, slope, net = derivative_parts(candidate.value(s), law, s)
     parts = (sm.Matrix([moved, candidate.derivative(s)]), slope, s.plant.M, net)
     names = sorted(set().union(*(part.free_symbols for part in parts)), key=str)
     function = function_of(names, [part.tolist() for part in parts])
