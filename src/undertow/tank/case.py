@@ -37,8 +37,8 @@ from .settings import (
 )
 
 _AXES = ("x", "y", "z")
-# The plane that shows most of each motion, by its normal.
-_SECTION = {"surge": 1, "sway": 2, "heave": 1, "roll": 0, "pitch": 1, "yaw": 2}
+# The plane that shows most of each motion, by its normal: 0, 1, 2 for x, y, z.
+SECTION_AXES = {"surge": 1, "sway": 2, "heave": 1, "roll": 0, "pitch": 1, "yaw": 2}
 _ALWAYS = (
     "system/blockMeshDict",
     "system/surfaceFeatureExtractDict",
@@ -297,11 +297,6 @@ def write_tank(root: Path, tank: Tank, hull: Mesh) -> None:
                 write_whole(folder / name, text)
 
 
-def section_axis(motion_name: str) -> int:
-    """Axis normal to the plane in which a case is drawn: 0, 1, 2 for x, y, z."""
-    return _SECTION[motion_name]
-
-
 def case_files(tank: Tank, case: Case, grid: int, cores: int = 1) -> dict[str, str]:
     """Names and contents of the files of an OpenFOAM case; the hull is in the tank's folder."""
     values = _values(tank, case, grid, cores)
@@ -324,7 +319,7 @@ def _values(tank: Tank, case: Case, grid: int, cores: int) -> dict[str, Any]:
     step, share = tank.step_of(case, grid), tank.share / case.copies
     k = 1.5 * (RULES.intensity * case.speed) ** 2
     inertia = case.inertia * share
-    section = np.eye(3)[section_axis(case.motion)]
+    section = np.eye(3)[SECTION_AXES[case.motion]]
     return {
         **_block(tank, case, grid),
         "level": _halvings(tank, case),

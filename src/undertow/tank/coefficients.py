@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from undertow.errors import UndertowError
 from undertow.files import read_toml, together, write_whole
 from undertow.identification.logs.mapping import SCHEMA
-from undertow.model.symbols import DOFS, FORCE, VELOCITY
+from undertow.model.symbols import DOFS, FORCE, POSE, VELOCITY
 from undertow.shape.hull_vehicle import EffectTable, entry_line, vehicle_text
 from undertow.typing import Array
 
@@ -181,7 +181,7 @@ def _by_balance(
     """Damping, and added mass where no push says it, from the balance of forces at every time step."""
     columns, forces = [], []
     for r, length in records:
-        # Rows at which the hull has gone `_SETTLED` lengths at one speed, shape (n,).
+        # Rows at which the hull has gone some lengths (`FitRules.settled`) at one speed, shape (n,).
         speed = np.abs(r.speed)
         way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(r.time))])
         before = np.interp(way - _RULES.settled * length, way, r.speed)
@@ -230,9 +230,6 @@ def least_squares(table: Array, values: Array, *, positive: bool = False) -> tup
 
 
 # --- logs ----------------------------------------------------------------------------------------------
-_POSITION = ("x", "y", "z", "phi", "theta", "psi")
-
-
 @dataclass(frozen=True)
 class Record:
     """What happened in one case on one grid; all arrays have shape (n,), SI units, along the motion."""
@@ -297,7 +294,7 @@ def _mapping(record: Record, tank: Tank, case: Case) -> str:
         "time": {"column": names[0], "unit": "s"},
         "columns": {
             names[1]: {"channel": f"tau_{FORCE[place]}", "unit": "N m" if turns else "N"},
-            names[2]: {"channel": _POSITION[place], "unit": mark},
+            names[2]: {"channel": POSE[place], "unit": mark},
             names[3]: {"channel": VELOCITY[place], "unit": f"{mark}/s"},
         },
     }

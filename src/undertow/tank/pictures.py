@@ -15,7 +15,7 @@ from undertow.figures import AFTER, BEFORE, FAINT, INK, figure, look
 from undertow.model.symbols import DOFS
 from undertow.typing import Array, Integers
 
-from .case import section_axis
+from .case import SECTION_AXES
 from .coefficients import Coefficient, Record, read_record
 from .settings import Case, Tank, folder_of, log_of
 
@@ -33,7 +33,10 @@ class PictureSettings:
 SETTINGS = PictureSettings()
 
 
-def read_section(folder: Path, at: float | None = None) -> tuple[float, Array, Integers, Array]:
+Section = tuple[float, Array, Integers, Array]
+
+
+def read_section(folder: Path, at: float | None = None) -> Section:
     """Time, s, points (n, 3), m, triangles (k, 3), speeds (k,), m/s, of a section: at a time, or the last."""
     files = sorted(folder.glob("postProcessing/section/*/*.vtk"), key=lambda p: float(p.parent.name))
     if not files:
@@ -69,22 +72,25 @@ def picture(root: Path, tank: Tank, case: Case, grid: int, found: list[Coefficie
     log = log_of(root, case, grid)
     record = read_record(log, grid) if log.is_file() else None
     with look():
-        drawn = figure(7.2, 2 if record else 1, 1, height_ratios=[2.2, 1] if record else None)
-        result, axes = drawn
+        rows, ratios = (2, [2.2, 1]) if record else (1, None)
+        result, axes = figure(7.2, rows, height_ratios=ratios)
         result.set_facecolor("white")
-        _draw_section(result, axes[0, 0], tank, case, grid, root)
+        section = read_section(folder_of(root, case, grid), _at_speed(record))
+        _draw_section(result, axes[0, 0], tank, case, section, record)
+        axes[0, 0].set_title(
+            f"{case.name}, grid {grid}: speed of the water at t = {section[0]:.4g} s, and half of the grid"
+        )
         if record:
             _draw_history(axes[1, 0], record, case, [c for c in found if c.motion == case.motion])
     return result
 
 
-def _draw_section(result: Figure, axes: Any, tank: Tank, case: Case, grid: int, root: Path) -> None:
+def _draw_section(
+    result: Figure, axes: Any, tank: Tank, case: Case, section: Section, record: Record | None
+) -> None:
     """Half of it with the grid, half without."""
-    log = log_of(root, case, grid)
-    record = read_record(log, grid) if log.is_file() else None
-    time, points, polygons, speeds = read_section(folder_of(root, case, grid), _at_speed(record))
-    normal = section_axis(case.motion)
-    shown = [i for i in range(3) if i != normal]
+    time, points, polygons, speeds = section
+    shown = [i for i in range(3) if i != SECTION_AXES[case.motion]]
     corners = points[polygons][:, :, shown]
     centre = _centre(record, case, time)[shown]
     lined = corners[corners[:, :, 1].mean(axis=1) > centre[1]]
@@ -102,7 +108,6 @@ def _draw_section(result: Figure, axes: Any, tank: Tank, case: Case, grid: int, 
     if shown[1] == 2:
         axes.invert_yaxis()  # z points down
     axes.set(xlabel=f"{_NAMES[shown[0]]} / m", ylabel=f"{_NAMES[shown[1]]} / m")
-    axes.set_title(f"{case.name}, grid {grid}: speed of the water at t = {time:.4g} s, and half of the grid")
     result.colorbar(cells, ax=axes, label="water / (m/s)", shrink=0.8)
 
 

@@ -211,7 +211,6 @@ def _grid(root: Path, case: Case, folder: Path, report: Progress) -> int:
     mark = folder / _GRID
     if "cells" in (said := _grid_note(mark)):
         return int(said["cells"])
-    need_openfoam()
     shutil.rmtree(folder / "constant" / "polyMesh", ignore_errors=True)
     surface = folder / "constant" / "triSurface"
     surface.mkdir(exist_ok=True)

@@ -111,7 +111,7 @@ class Record:
         What an observer predicts for the next sample, by state; empty without one.
     followed : Followed, optional
         The mission beside the run: what was desired, and the errors.
-    swings : mapping
+    command_ranges : mapping
         What each command does from its row to the next, by name.
     """
 
