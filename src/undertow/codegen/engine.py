@@ -88,14 +88,15 @@ class Engine:
     """Entry points of the library that runs tapes."""
 
     def __init__(self, library: ctypes.CDLL, prefix: str) -> None:
-        self.at_samples: Callable[..., int] = _entry(library, f"{prefix}at_samples", ctypes.c_int)
-        self.carry: Callable[..., int] = _entry(library, f"{prefix}carry", ctypes.c_int)
-        self.simulate: Callable[..., int] = _entry(library, f"{prefix}simulate", ctypes.c_int64)
+        self.at_samples = entry_point(library, f"{prefix}at_samples", ctypes.c_int)
+        self.carry = entry_point(library, f"{prefix}carry", ctypes.c_int)
+        self.simulate = entry_point(library, f"{prefix}simulate")
 
 
-def _entry(library: ctypes.CDLL, name: str, result: Any) -> Callable[..., int]:
-    entry = getattr(library, name)
-    entry.restype = result
+def entry_point(library: ctypes.CDLL, name: str, result: Any = ctypes.c_int64) -> Callable[..., Any]:
+    """A function of a library that returns this type."""
+    entry: Callable[..., Any] = getattr(library, name)
+    entry.restype = result  # type: ignore[attr-defined]
     return entry
 
 
@@ -380,17 +381,16 @@ class Entries:
     def __init__(self, source: Callable[[int], tuple[str, str]], compiler: Compiler) -> None:
         # What is a vector is so already; others that the compiler makes up cost a twentieth.
         self._source, self._compiler = source, compiler.for_this_machine("-fno-tree-vectorize")
-        self._known: dict[int, Callable[..., None]] = {}
+        self._known: dict[int, Callable[..., Any]] = {}
         self._building = Lock()
 
-    def __call__(self, lanes: int) -> Callable[..., None]:
+    def __call__(self, lanes: int) -> Callable[..., Any]:
         """The entry point for so many lanes."""
         with self._building:
             if lanes not in self._known:
                 source, prefix = self._source(lanes)
-                entry: Any = getattr(loaded(library_for(source, self._compiler)), f"{prefix}run")
-                entry.restype = None
-                self._known[lanes] = entry
+                library = loaded(library_for(source, self._compiler))
+                self._known[lanes] = entry_point(library, f"{prefix}run", None)
         return self._known[lanes]
 
 
@@ -606,9 +606,8 @@ class InterpretedModel:
 def compiled_tangents(functions: Functions, wrt: Sequence[int], compiler: Compiler) -> Tangents:
     """The simulation compiled for these parameters to differentiate by, with -1 for each initial state."""
     source, prefix = tangents_source(functions, wrt)
-    run = getattr(loaded(library_for(source, compiler.for_this_machine())), f"{prefix}simulate")
-    run.restype = ctypes.c_int64
-    return Tangents(run)
+    library = loaded(library_for(source, compiler.for_this_machine()))
+    return Tangents(entry_point(library, f"{prefix}simulate"))
 
 
 def tangents_source(functions: Functions, wrt: Sequence[int]) -> tuple[str, str]:

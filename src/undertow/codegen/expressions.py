@@ -206,10 +206,10 @@ class _Search:
         self, s: Signals, known: Converter, p: ca.SX, dofs: tuple[int, ...], prescribed: tuple[str, ...]
     ) -> None:
         self._known, self._p, self._dofs = known, p, dofs
-        self._ground, self._pushed = _column("nu", dofs), _column("nu_dot", dofs)
+        self._ground, self._pushed = ca.SX.sym("nu", len(dofs)), ca.SX.sym("nu_dot", len(dofs))
         # The water does not rotate: through it only the translations are different.
         moves = tuple(i for i in dofs if i < 3)
-        self._water, self._water_pushed = _column("nu_r", moves), _column("nu_r_dot", moves)
+        self._water, self._water_pushed = ca.SX.sym("nu_r", len(moves)), ca.SX.sym("nu_r_dot", len(moves))
         self._relative = ca.vertcat(self._water, *ca.vertsplit(self._ground)[len(moves) :])
         self._meaning: dict[sm.Symbol, ca.SX] = {
             x: ca.SX(0) for m in (s.nu, s.nu_r, s.nu_dot, s.nu_r_dot) for x in m
@@ -286,11 +286,6 @@ class _Search:
         places = {*equations, *coefficients}
         left = [_signed_sum(equations.get(c, []), known) for c in places]
         return identical(ca.vertcat(*left), ca.vertcat(*(coefficients.get(c, zero) for c in places)), self._p)
-
-
-def _column(name: str, places: tuple[int, ...]) -> ca.SX:
-    """Symbols, one for each place."""
-    return ca.SX.sym(name, len(places))
 
 
 def _at_zero(expression: ca.SX, symbols: ca.SX) -> ca.SX:
@@ -484,25 +479,24 @@ class Reading:
         self._register: dict[int, int] = {}
         self._values: list[Sum] = []
         self._steps = [self._step(k) for k in range(function.n_instructions())]
-        self._uses = Counter(v for _, _, operands in self._steps for v in operands)
+        self._uses = Counter(v for _, operands in self._steps for v in operands)
         self._angles = self._sines_and_cosines()
         self.results: dict[int, Sum] = {}
-        for k, (operation, _, operands) in enumerate(self._steps):
+        for k, (operation, operands) in enumerate(self._steps):
             self._values.append(self._value(k, operation, operands))
 
-    def _step(self, k: int) -> tuple[int, int, list[int]]:
-        """Operation, its own number, and the numbers of the instructions that made its operands."""
+    def _step(self, k: int) -> tuple[int, list[int]]:
+        """Operation, and the numbers of the instructions that made its operands."""
         f, operation = self._function, self._function.instruction_id(k)
-        into = f.instruction_output(k)
         made = operation in (ca.OP_INPUT, ca.OP_CONST)
         operands = [] if made else [self._register[i] for i in f.instruction_input(k)]
         if operation != ca.OP_OUTPUT:
-            self._register[into[0]] = k
-        return operation, k, operands
+            self._register[f.instruction_output(k)[0]] = k
+        return operation, operands
 
     def _sines_and_cosines(self) -> set[int]:
         """Instructions of which both the sine and the cosine are needed."""
-        found = {o: {v[0] for q, _, v in self._steps if q == o} for o in (ca.OP_SIN, ca.OP_COS)}
+        found = {o: {v[0] for q, v in self._steps if q == o} for o in (ca.OP_SIN, ca.OP_COS)}
         return found[ca.OP_SIN] & found[ca.OP_COS]
 
     def _value(self, k: int, operation: int, operands: list[int]) -> Sum:

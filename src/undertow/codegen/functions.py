@@ -235,8 +235,13 @@ class Functions:
 
     def with_acceleration(self, rows: ca.SX) -> ca.SX:
         """x_dot with these in the rows of the acceleration."""
+        return ca.vertcat(self.pose_rate, rows, self._own_rates)
+
+    @property
+    def _own_rates(self) -> ca.SX:
+        """Rates of the states that effects own, as the commands drive them."""
         memory = ca.substitute(self.memory_rates, self.actuation, self.actuator_output)
-        return ca.vertcat(self.pose_rate, rows, memory, self.actuator_rates)
+        return ca.vertcat(memory, self.actuator_rates)
 
     @property
     def acceleration_rows(self) -> slice:
@@ -277,9 +282,7 @@ class Functions:
 
         d(rates)/d(states) in 1/s, in one block for the velocities and one for the states.
         """
-        own = ca.vertcat(self.memory, self.actuator_states)
-        memory = ca.substitute(self.memory_rates, self.actuation, self.actuator_output)
-        slopes = ca.jacobian(ca.vertcat(memory, self.actuator_rates), own)
+        slopes = ca.jacobian(self._own_rates, ca.vertcat(self.memory, self.actuator_states))
         return self._function("quickest", [ca.cse(ca.diagcat(self._slopes_at_rest, slopes))], ["slopes"])
 
     @cached_property
@@ -349,12 +352,8 @@ class Functions:
         For values of the parameters, the vehicle's unless given.
         """
         p = self.values() if values is None else values
-        ages = (
-            ca.Function("report_age", [self.numbers], [ca.densify(self.report_age)])(p)
-            .full()
-            .ravel()
-            .tolist()
-        )
+        age = ca.Function("report_age", [self.numbers], [ca.densify(self.report_age)])
+        ages = age(p).full().ravel().tolist()
         names = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
         return float(self.dead_time(p)), {n: s for n, s in zip(names, ages, strict=True) if s}
 

@@ -14,7 +14,7 @@ from undertow.errors import UndertowError
 from undertow.typing import Array
 
 from .compiler import LANES, Compiler, library_for, loaded, plain_c, pointer
-from .engine import LANES_HEADER, SETTINGS, at_samples
+from .engine import LANES_HEADER, SETTINGS, at_samples, entry_point
 from .functions import Functions
 from .source import c_file, integers, with_entries
 
@@ -82,9 +82,8 @@ def layout(functions: Functions, places: Sequence[int]) -> Layout:
 class Sums:
     """Sums over the samples of logs, with what rounding takes from them kept beside."""
 
-    # value, lost: sum and correction
     value: Array
-    compensation: Array = field(init=False)
+    compensation: Array = field(init=False)  # what rounding took
     count: int = 0  # samples that were taken in; those with gaps are not
 
     def __post_init__(self) -> None:
@@ -103,9 +102,7 @@ class CompiledRows:
         self._layout = rows
         source, prefix = gram_source(rows)
         library = loaded(library_for(source, compiler.for_this_machine()))
-        self._entry = {name: getattr(library, f"{prefix}{name}") for name in ("gram", "build")}
-        for entry in self._entry.values():
-            entry.restype = ctypes.c_int64
+        self._entry = {name: entry_point(library, f"{prefix}{name}") for name in ("gram", "build")}
 
     def gram(self, columns: list[Array], p: Array, sums: Sums) -> None:
         """Add products of rows and target, upper triangle."""

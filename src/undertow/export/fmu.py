@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
 from io import BytesIO
@@ -102,21 +101,16 @@ class Fmu:
         states, lowest = self._manifest.states, self.vehicle.lowest_commands
         limits = {n: (lowest[n], most) for n, most in self.vehicle.command_limits.items()}
         seen = (*self.vehicle.pose_names, *self.vehicle.velocity_names)
-        inputs = [
-            replace(
-                e,
-                name=_unique_name(e.name, (*seen, *(p.name for p in self._manifest.parameters)), "command_"),
-            )
-            for e in self._manifest.inputs
-        ]
+        taken = {*seen, *(p.name for p in self._manifest.parameters)}
+        inputs = [(f"command_{e.name}" if e.name in taken else e.name, e) for e in self._manifest.inputs]
         step = longest_step(self._functions, SETTINGS.max_step)
         return [
             Variable("time", "s", "independent", "continuous"),
             *(_state(e, "output" if e.name in seen else "local") for e in states),
             *(_rate(e, i) for i, e in enumerate(states, start=1)),
             *(
-                Variable(i.name, i.unit, "input", "continuous", None, 0.0, None, limits.get(e.name))
-                for i, e in zip(inputs, self._manifest.inputs, strict=True)
+                Variable(name, e.unit, "input", "continuous", None, 0.0, None, limits.get(e.name))
+                for name, e in inputs
             ),
             *map(_parameter, self._manifest.parameters),
             Variable("max_step", "s", "parameter", "fixed", "exact", step, meaning="longest step"),
@@ -241,12 +235,11 @@ class Fmu:
         rows = ca.vertcat(f.x_dot, self._forces(*self._inputs))
         pattern = ca.jacobian_sparsity(rows, moving)
         places = [0, *range(1, 1 + nx), *range(1 + 2 * nx, 1 + 2 * nx + nu)]
-        found: dict[int, list[int]] = {i: [i] for i in range(1, 1 + nx)}
-        first_force = len(self.variables) - f.nu.numel()
-        for k in range(rows.numel()):
-            found[1 + nx + k if k < nx else first_force + k - nx] = []
+        last = len(self.variables)
+        references = [*range(1 + nx, 1 + 2 * nx), *range(last - f.nu.numel(), last)]
+        found: dict[int, list[int]] = {i: [i] for i in range(1, 1 + nx)} | {i: [] for i in references}
         for k, j in zip(*pattern.get_triplet(), strict=True):
-            found[1 + nx + k if k < nx else first_force + k - nx].append(places[j])
+            found[references[k]].append(places[j])
         return {reference: sorted(needs) for reference, needs in found.items()}
 
 
@@ -262,11 +255,6 @@ def _rate(entry: Entry, state: int) -> Variable:
 
 def _parameter(entry: Entry) -> Variable:
     return Variable(entry.name, entry.unit, "parameter", "fixed", "exact", entry.value)
-
-
-def _unique_name(name: str, taken: Iterable[str], prefix: str) -> str:
-    """A name that no other variable has."""
-    return prefix + name if name in taken else name
 
 
 def _double(value: float) -> str:

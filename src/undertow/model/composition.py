@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import sympy as sm
 
@@ -39,19 +39,6 @@ _CACHED = 512
 Meanings = tuple[tuple[sm.Symbol, sm.Expr], ...]
 
 
-class _Setting(NamedTuple):
-    """Everything except the effect itself on which its equations depend."""
-
-    # Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have it in common.
-
-    dofs: tuple[int, ...]
-    meanings: Meanings
-
-    def reduce(self, expression: sm.Matrix) -> sm.Matrix:
-        """An expression of effects in terms of the vehicle's own motion, commands and parameters."""
-        return expression.xreplace(dict(self.meanings))
-
-
 @lru_cache(maxsize=_CACHED)
 def stated(effect: Wrench) -> sm.ImmutableMatrix:
     """Wrench of an effect as stated, abbreviations expanded, shape (6, 1)."""
@@ -65,9 +52,10 @@ def stated(effect: Wrench) -> sm.ImmutableMatrix:
 
 
 @lru_cache(maxsize=_CACHED)
-def _reduced(effect: Wrench, setting: _Setting) -> sm.ImmutableMatrix:
+def _reduced(effect: Wrench, dofs: tuple[int, ...], meanings: Meanings) -> sm.ImmutableMatrix:
     """Wrench of an effect in the degrees of freedom of a vehicle."""
-    return setting.reduce(stated(effect).extract(list(setting.dofs), [0]))
+    # Vehicles that differ by one effect, as the candidates of a diagnosis do, mostly have these in common.
+    return stated(effect).extract(list(dofs), [0]).xreplace(dict(meanings))
 
 
 class Composition:
@@ -184,19 +172,18 @@ class Composition:
 
     def reduce(self, expression: sm.Matrix) -> sm.Matrix:
         """An expression of effects in terms of the vehicle's own motion, commands and parameters."""
-        return self._setting.reduce(expression)
+        return expression.xreplace(dict(self._meanings))
 
     @cached_property
-    def _setting(self) -> _Setting:
-        meanings = spelled_out([self.locked, self.relative_motion, self.directional])
-        return _Setting(self.dofs, tuple(meanings.items()))
+    def _meanings(self) -> Meanings:
+        return tuple(spelled_out([self.locked, self.relative_motion, self.directional]).items())
 
     # --- the sums -----------------------------------------------------------------------------
     @cached_property
     def wrenches(self) -> dict[Wrench, sm.Matrix]:
         """Wrench of every effect in the vehicle's degrees of freedom."""
         effects = [e for e in self.effects if isinstance(e, Wrench)]
-        return {e: _reduced(e, self._setting).as_mutable() for e in effects}
+        return {e: _reduced(e, self.dofs, self._meanings).as_mutable() for e in effects}
 
     @cached_property
     def residual(self) -> sm.Matrix:

@@ -14,7 +14,7 @@ from sympy.printing.str import StrPrinter
 
 from .catalogue import Catalogue, catalogue
 from .composition import Composition, Part, Statement, statement_of
-from .effect import Actuation, Effect
+from .effect import Actuation, Effect, kind_of
 from .parameter import Parameter, PerSurface, PerThruster, declared, logged
 from .symbols import FORCE, VELOCITY
 from .units import short_unit
@@ -80,7 +80,7 @@ def describe(cls: type[Effect], known: Catalogue | None = None) -> Description:
     about, _, details = inspect.cleandoc(cls.__doc__ or "").partition("\n")
     return Description(
         id=cls.id,
-        kind=" and ".join(statement.kinds),
+        kind=kind_of(cls),
         family=cls.family,
         about=about,
         details=" ".join(details.split()),

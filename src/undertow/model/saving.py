@@ -345,19 +345,19 @@ def rewritten(
 ) -> str:
     """The text that `save_vehicle` writes, with its refusals: for trying before the work is done."""
     path = resolve_vehicle(template)
-    vehicle = _reconciled(vehicle, path)
+    table = read_vehicle_table(path)  # also: nothing is changed in a file that is not understood
+    vehicle = _reconciled(vehicle, table)
     if out != path and out.exists() and out.samefile(path):
         raise UndertowError(
             f"'{out}' is the file {path} itself: choose another name, or give that path to replace it"
         )
-    text = _file_text(vehicle, path, history, out.parent)
+    text = _file_text(vehicle, table, path, history, out.parent)
     _check(text, vehicle, path, out.parent)
     return text
 
 
-def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
+def _reconciled(vehicle: Vehicle, table: VehicleTable) -> Vehicle:
     """The same vehicle; values in new effects that no fit can determine agree with its other tables."""
-    table = read_vehicle_table(path)
     stated = Statements(vehicle.effects, table.effects, vehicle.environment, table.signs)
     for effect in (e for e in vehicle.effects if e.id not in table.effects):
         own = {p.name: vehicle.value_of(p.name) for p in effect.parameters if p.name in vehicle.values}
@@ -368,22 +368,23 @@ def _reconciled(vehicle: Vehicle, path: Path) -> Vehicle:
     return vehicle
 
 
-def _file_text(vehicle: Vehicle, path: Path, history: Mapping[str, object] | None, folder: Path) -> str:
-    signs = read_vehicle_table(path).signs  # also: nothing is changed in a file that is not understood
+def _file_text(
+    vehicle: Vehicle, table: VehicleTable, path: Path, history: Mapping[str, object] | None, folder: Path
+) -> str:
     try:
         document = tomlkit.parse(path.read_bytes().decode("utf-8-sig"))
     except TOMLKitError as error:
         raise UndertowError(f"{path}: cannot be edited ({error}); rewrite it in plain TOML 1.0") from error
     _write_head(document, vehicle)
-    _write_effects(document, vehicle, signs, history)
+    _write_effects(document, vehicle, table.signs, history)
     _write_thrusters(document, vehicle, history)
     for thruster in document.get("thrusters", []):
         own = isinstance(thruster.get("curve"), str) and thruster["curve"] not in bundled_curves()
         if own and folder.resolve() != path.parent.resolve():
             thruster["curve"] = relpath(path.parent / thruster["curve"], folder)
-    _write_hardware(document, vehicle, read_vehicle_table(path), history)
+    _write_hardware(document, vehicle, table, history)
     if history is not None:
-        append_history(document, vehicle, history, signs)
+        append_history(document, vehicle, history, table.signs)
     return tomlkit.dumps(document)
 
 

@@ -258,10 +258,7 @@ class Regression:
 
     def add_run(self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges) -> None:
         """Take in a run whose velocity and acceleration are smoothed as a case says."""
-        pieces = self._pieces(run, case, edges)
-        if not pieces:
-            raise UndertowError(self._too_short(run, case, edges))
-        self._add_samples(triangle, run, pieces, case, edges)
+        self._add_samples(triangle, run, self._required_pieces(run, case, edges), case, edges)
 
     def add_part(
         self, triangle: TriangularFactor, run: Run, case: Case, edges: Edges, after: float, until: float
@@ -271,11 +268,8 @@ class Regression:
 
     def signals(self, run: Run, case: Case, edges: Edges) -> tuple[Array, Array, Array]:
         """Time, velocity and acceleration as a case smooths them, shape (n,) each; NaN between segments."""
-        pieces = self._pieces(run, case, edges)
-        if not pieces:
-            raise UndertowError(self._too_short(run, case, edges))
         names = ("t", self.axis.velocity, self.axis.rate)
-        found = [self._samples(run, piece, case, edges) for piece in pieces]
+        found = [self._samples(run, p, case, edges) for p in self._required_pieces(run, case, edges)]
         columns = ([np.append(part[name], np.nan) for part in found] for name in names)
         t, velocity, rate = (np.concatenate(column)[:-1] for column in columns)
         return t, velocity, rate
@@ -328,12 +322,16 @@ class Regression:
         names += [self._pose] if self._depends_on_pose else []
         return names + ([self.axis.rate] if run.has(self.axis.rate) and not case.differentiated else [])
 
-    def _too_short(self, run: Run, case: Case, edges: Edges) -> str:
-        return (
-            f"run '{run.name}': no stretch without gaps in {', '.join(self._needed(run, case))} has the "
-            f"{case.needs(edges)} samples that case {case.name} needs: fill the gaps, or choose other cases "
-            "(--cases)"
-        )
+    def _required_pieces(self, run: Run, case: Case, edges: Edges) -> list[slice]:
+        """The same; a run without any is refused."""
+        pieces = self._pieces(run, case, edges)
+        if not pieces:
+            raise UndertowError(
+                f"run '{run.name}': no stretch without gaps in {', '.join(self._needed(run, case))} has the "
+                f"{case.needs(edges)} samples that case {case.name} needs: fill the gaps, or choose other "
+                "cases (--cases)"
+            )
+        return pieces
 
     @property
     def depends_on_time(self) -> bool:
@@ -382,8 +380,7 @@ def _must_be_linear(axis: Axis, free: Sequence[str]) -> None:
     if not free:
         raise UndertowError(
             f"no parameter of the {axis.motion} of '{axis.vehicle.name}' is marked for estimation: write, "
-            "for "
-            "instance, X_u = { value = ..., estimate = true }"
+            "for instance, X_u = { value = ..., estimate = true }"
         )
     shaped = [n for n in free if not declared[n].linear]
     if shaped:

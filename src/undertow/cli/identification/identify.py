@@ -84,14 +84,19 @@ def identify(
     )
 
 
+def _are_long(logs: Sequence[Path]) -> bool:
+    from undertow.identification.logs.table import size_of
+
+    return sum(map(size_of, logs)) > _LONG
+
+
 def _check_figures(folder: Path, logs: Sequence[Path], stream: bool) -> None:
     """Refuse pictures of logs that are read in parts, or a folder that cannot be one."""
     from undertow.errors import UndertowError
     from undertow.files import check_folder
-    from undertow.identification.logs.table import size_of
 
     check_folder(folder)
-    if stream or sum(map(size_of, logs)) > _LONG:
+    if stream or _are_long(logs):
         raise UndertowError(
             "--figures needs logs that are read whole: leave out --stream, or give a part (--from)"
         )
@@ -102,11 +107,10 @@ def _identified(
 ) -> Identified:
     """Estimates; from parts of the logs where that is asked for or they are long."""
     from undertow.identification.logs.chunks import NeedsWhole
-    from undertow.identification.logs.table import size_of
     from undertow.model.loading import load_vehicle
     from undertow.paper.least_squares import identify, identify_in_parts
 
-    if stream or sum(map(size_of, logs)) > _LONG:
+    if stream or _are_long(logs):
         try:
             with progress("reading logs") as report:
                 model = load_vehicle(vehicle, effect_files=options.effects or ())
@@ -146,7 +150,7 @@ def _head(experiment: Experiment, estimation: Estimation, name: str) -> str:
     from undertow.model.units import short_unit
 
     unit = short_unit(experiment.axis.vehicle.declared_parameters[name].unit)
-    return f"{experiment.axis.inertia if name in estimation.inertial else name}, {unit} (|t|)"
+    return f"{_name(experiment, estimation, name)}, {unit} (|t|)"
 
 
 def _row(experiment: Experiment, estimation: Estimation) -> list[str]:
@@ -156,12 +160,13 @@ def _row(experiment: Experiment, estimation: Estimation) -> list[str]:
     for name in estimation.names:
         value, error = _printed(experiment, estimation, name)
         cells.append(f"{value:.6g} ± {error:.2g} ({t_value(value, error):.3g})")
-    lacking = "yes" if estimation.valid else "no: " + ", ".join(_named(experiment, estimation))
+    impossible = ", ".join(_name(experiment, estimation, name) for name in estimation.impossible)
+    lacking = f"no: {impossible}" if impossible else "yes"
     return [estimation.case.name, *cells, f"{estimation.residual_variance:.6g}", lacking]
 
 
-def _named(experiment: Experiment, estimation: Estimation) -> list[str]:
-    return [experiment.axis.inertia if n in estimation.inertial else n for n in estimation.impossible]
+def _name(experiment: Experiment, estimation: Estimation, name: str) -> str:
+    return experiment.axis.inertia if name in estimation.inertial else name
 
 
 def _printed(experiment: Experiment, estimation: Estimation, name: str) -> tuple[float, float]:

@@ -86,16 +86,15 @@ class BodyOptions:
         over `inputs`, the files that it is from.
         """
         from undertow.model.loading import load_vehicle
+        from undertow.model.symbols import ENVIRONMENT
         from undertow.shape.bodies import AddedMass
         from undertow.shape.hull_vehicle import sigma_of
 
         place = self._place()
         target = self._target(inputs)
         vehicle = None if self.into is None else load_vehicle(self.into)
-        density = self.density
-        if density is None:
-            density = 1000.0 if vehicle is None else vehicle.environment["rho"]
-        found = body(density).placed(*place)
+        stated = ENVIRONMENT.density if vehicle is None else vehicle.environment["rho"]
+        found = body(stated if self.density is None else self.density).placed(*place)
         added, radiation = (found, ()) if isinstance(found, AddedMass) else (found.added, found.radiation)
         spread = sigma_of(added, self.sigma)
         if self.json:
@@ -238,7 +237,7 @@ def mesh(
 _UNITS = (("kg", "kg m"), ("kg m", "kg m^2"))
 
 
-def _content(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) -> dict[str, Any]:
+def _content(added: AddedMass, sigma: Array, radiation: Sequence[Radiation]) -> dict[str, Any]:
     """What is known of an added mass, as plain data."""
     return {
         "matrix": added.matrix.tolist(),
@@ -252,7 +251,7 @@ def _content(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()
     }
 
 
-def show(added: AddedMass, sigma: Array, radiation: Sequence[Radiation] = ()) -> None:
+def show(added: AddedMass, sigma: Array, radiation: Sequence[Radiation]) -> None:
     """Print an added mass: what matters of its matrix, where it is from, how far to trust it."""
     from undertow.model.symbols import FORCE, VELOCITY
     from undertow.shape.hull_vehicle import coupled, derivative

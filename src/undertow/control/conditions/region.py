@@ -302,7 +302,7 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         f"in the {found.frame} frame and P is from a semidefinite program; proved by interval arithmetic at "
         f"every attitude and every motion in it, {_parameters(problem)}"
     )
-    region = Region(
+    return Region(
         "level",
         text,
         1.0,
@@ -312,7 +312,6 @@ def _of_quadratic(problem: Problem, found: Quadratic) -> Region:
         commands.result(found.commands),
         quadratic=found,
     )
-    return region
 
 
 def _gate(problem: Problem) -> float:
@@ -337,7 +336,7 @@ def _contains(problem: Problem, found: Region, start: Mapping[str, float]) -> bo
         return False
     if found.by_search:
         return True  # it was searched for so
-    angles = {c: np.pi for c in ANGLES if c == "psi"} | {c: problem.attitudes.tilt for c in ("phi", "theta")}
+    angles = {"psi": np.pi} | dict.fromkeys(("phi", "theta"), problem.attitudes.tilt)
     if any(e >= angles.get(c, np.inf) for c, e in start.items()):
         return False
     if found.level is None or "K_P" not in problem.values:
