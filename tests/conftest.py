@@ -5,9 +5,13 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import hypothesis
 import pytest
+
+if TYPE_CHECKING:
+    from undertow.codegen.compiler import Compiler
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -28,6 +32,17 @@ def pytest_configure(config: pytest.Config) -> None:
     if cache is not None:
         cache.chmod(0o700)
         os.environ["XDG_CACHE_HOME"] = str(cache)
+
+
+@pytest.fixture
+def c_compiler() -> Compiler:
+    """The C compiler of this machine; without one the test is skipped."""
+    from undertow.codegen.compiler import find_compiler
+
+    found = find_compiler()
+    if found is None:
+        pytest.skip("no C compiler on this machine")
+    return found
 
 
 # What is imported, and what the tests of a file have worked out and kept, stays until the process ends. To

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.failing import HalfWritten
 from tests.quick import first_quick
 from undertow import files
 from undertow.cli.main import main
@@ -19,27 +20,8 @@ from undertow.errors import UndertowError
 from undertow.files import make_folder, read_json, read_toml, sha256_of, together, write_whole
 
 
-class _Stream:
-    """A file whose write puts half of the data on the disk and then fails."""
-
-    def __init__(self, path: Path, failure: BaseException) -> None:
-        self._stream = builtins.open(path, "xb")  # noqa: SIM115
-        self._failure = failure
-
-    def __enter__(self) -> _Stream:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stream.close()
-
-    def write(self, payload: bytes) -> None:
-        self._stream.write(payload[: len(payload) // 2])
-        self._stream.flush()
-        raise self._failure
-
-
 def _fail_with(monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
-    monkeypatch.setattr(files, "open", lambda path, mode: _Stream(path, failure), raising=False)
+    monkeypatch.setattr(files, "open", lambda path, mode: HalfWritten(path, failure), raising=False)
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

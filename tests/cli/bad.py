@@ -13,6 +13,7 @@ from undertow.cli.main import commands, main
 
 Columns = dict[str, np.ndarray]
 Refused = Callable[..., str]
+Undertow = Callable[..., tuple[int, str, str]]
 
 LOG_COMMANDS = [name for name in ("compare", "diagnose", "add", "fit") if name in commands()]
 VEHICLE_COMMANDS = [*LOG_COMMANDS, "export"]

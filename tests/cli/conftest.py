@@ -10,7 +10,9 @@ import pytest
 from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.files import toml_text
 from benchmarks.shape.hulls import box_mesh, spheroid_mesh, stl
-from tests.cli.bad import SURGE, contents, surge_log, text_of
+from tests.cli.bad import SURGE, Undertow, contents, surge_log, text_of
+from undertow.cli.main import main
+from undertow.model.loading import bundled_vehicles
 
 
 @pytest.fixture(scope="session")
@@ -47,13 +49,38 @@ def quick(case: Path) -> Path:
 
 
 @pytest.fixture
-def hulls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder, the current one, with box.stl in mm and spheroid.stl in m, both about the origin."""
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, the current one, on a wide terminal."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-    stl(box_mesh(), tmp_path / "box.stl", 1000.0)
-    stl(spheroid_mesh(1.2, 0.4, 3), tmp_path / "spheroid.stl")
     return tmp_path
+
+
+@pytest.fixture
+def undertow(here: Path, capsys: pytest.CaptureFixture[str]) -> Undertow:
+    """Run a command in the folder `here`; return its exit code and what it wrote to stdout and stderr."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main([str(w) for w in words])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def folder(here: Path) -> Path:
+    """The folder `here` with auv.toml, a copy of the mini-AUV."""
+    (here / "auv.toml").write_text(bundled_vehicles()["mini-auv"].read_text())
+    return here
+
+
+@pytest.fixture
+def hulls(here: Path) -> Path:
+    """The folder `here` with box.stl in mm and spheroid.stl in m, both about the origin."""
+    stl(box_mesh(), here / "box.stl", 1000.0)
+    stl(spheroid_mesh(1.2, 0.4, 3), here / "spheroid.stl")
+    return here
 
 
 @pytest.fixture

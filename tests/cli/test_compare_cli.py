@@ -90,11 +90,6 @@ def test_what_is_unexplained_comes_last_in_the_budget(case: Path, capsys: pytest
     assert rows[-1] == "unexplained"
 
 
-def test_a_log_given_twice_is_refused(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", *LOG, "train.csv"]) == 2
-    assert "have the same content: give each only once" in capsys.readouterr().err
-
-
 def test_logs_of_the_same_name_are_told_apart(case: Path) -> None:
     (case / "other").mkdir()
     (case / "other" / "train.csv").write_text((case / "holdout.csv").read_text())

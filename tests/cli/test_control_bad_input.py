@@ -43,18 +43,17 @@ K_P = { z = "20 N/m" }
 K_V = { z = "3 N s/m" }
 """
 LEFT_OUT = GAINS.replace("[gains]", 'unactuated = ["heave"]\n[gains]')
+SIMULATE = ["simulate", "mini-auv", "paper-pd", "--for", "1", "--dt", "0.01"]
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(here: Path) -> Path:
     """A folder, the current one, with a vehicle that heaves, without (bare.toml) and with a thruster."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    (tmp_path / "bare.toml").write_text(HEAVE)
-    (tmp_path / "heave.toml").write_text(HEAVE + THRUSTER)
-    (tmp_path / "gains.toml").write_text(GAINS)
-    (tmp_path / "left-out.toml").write_text(LEFT_OUT)
-    return tmp_path
+    (here / "bare.toml").write_text(HEAVE)
+    (here / "heave.toml").write_text(HEAVE + THRUSTER)
+    (here / "gains.toml").write_text(GAINS)
+    (here / "left-out.toml").write_text(LEFT_OUT)
+    return here
 
 
 # --- without thrusters ----------------------------------------------------------------------------
@@ -144,9 +143,13 @@ def test_an_axis_left_alone_is_told_by_design_as_by_gains(
         ),
         (["design", "heave.toml", "--error", "z=1e-200", "--force", "heave=1"], "error of z is 1e-200"),
         (["design", "heave.toml", "--error", "z=1", "--force", "heave=1e200"], "1e-09 to 1e+09"),
+        (["linearize", "heave.toml", "--plot", "poles", "--out", "a.txt"], "name it a.png"),
+        (["linearize", "heave.toml", "--plot", "poles", "--out", "a"], "name it a.png"),
+        ([*SIMULATE, "--to", "1,1,1", "--gate", "181deg", "--order", "yaw-first"], "beyond 180 deg"),
+        ([*SIMULATE, "--to", "1,1,1", "--gate", "5", "--order", "yaw-first"], "without a unit is in rad"),
     ],
 )
-def test_values_beyond_all_bounds_are_refused(
+def test_values_beyond_all_bounds_and_names_that_cannot_be_meant_are_refused(
     here: Path, capsys: Capture, words: list[str], said: str
 ) -> None:
     assert said in refusal(words, capsys, here)
@@ -175,24 +178,6 @@ def test_failing_linear_algebra_ends_in_one_line(
 
 
 # --- places and angles ----------------------------------------------------------------------------
-SIMULATE = ["simulate", "mini-auv", "paper-pd", "--for", "1", "--dt", "0.01"]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["linearize", "heave.toml", "--plot", "poles", "--out", "a.txt"], "name it a.png"),
-        (["linearize", "heave.toml", "--plot", "poles", "--out", "a"], "name it a.png"),
-        ([*SIMULATE, "--to", "1,1,1", "--gate", "181deg", "--order", "yaw-first"], "beyond 180 deg"),
-        ([*SIMULATE, "--to", "1,1,1", "--gate", "5", "--order", "yaw-first"], "without a unit is in rad"),
-    ],
-)
-def test_names_and_angles_that_cannot_be_meant_are_refused(
-    here: Path, capsys: Capture, words: list[str], said: str
-) -> None:
-    assert said in refusal(words, capsys, here)
-
-
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder that takes no files")
 def test_a_place_without_files_is_refused_before_the_run(here: Path, capsys: Capture) -> None:
     capsys.readouterr()

@@ -111,8 +111,6 @@ def test_a_part_of_the_log_and_several_logs(case: Path, capsys: pytest.CaptureFi
         ([*LOG, "--map", "none.toml"], "mapping file none.toml"),
         ([*LOG, "--json", "train.csv"], "'train.csv' is the input"),
         ([*LOG, "--plot", "no/where.png"], "folder 'no' does not exist"),
-        ([*LOG, "train.csv"], "have the same content"),
-        ([*LOG, "--from", "100"], "no sample in the time window"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import sympy as sm
 
 from benchmarks.hidden_effects import make_case
 from benchmarks.hidden_effects.files import toml_text
-from undertow.cli.main import main
+from tests.cli.bad import Undertow
 from undertow.identification.diagnosis.bench import noise_ratio, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.residual import remaining
@@ -35,21 +34,7 @@ from undertow.model.contract import check_effect
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import signals, symbol
 
-Undertow = Callable[..., tuple[int, str, str]]
 EVIL = 'x"""\nimport os\nos.system("rm")\n"""\\'
-
-
-@pytest.fixture
-def undertow(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Undertow:
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: object) -> tuple[int, str, str]:
-        code = main([str(w) for w in words])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 def _reported(columns: list[list[str]], term: str = "term", **more: Any) -> Dependence:

@@ -45,14 +45,12 @@ K_I = 0.05
 
 
 @pytest.fixture
-def sled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def sled(here: Path) -> Path:
     """A folder, the current one, with a vehicle in surge alone and gains that are good for it."""
-    (tmp_path / "sled.toml").write_text(SURGE)
-    (tmp_path / "gains.toml").write_text(GAINS)
-    (tmp_path / "mine.toml").write_text(GOOD)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    return tmp_path
+    (here / "sled.toml").write_text(SURGE)
+    (here / "gains.toml").write_text(GAINS)
+    (here / "mine.toml").write_text(GOOD)
+    return here
 
 
 def content(capsys: Capture, *words: str) -> tuple[int, Any]:

@@ -22,13 +22,11 @@ Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
+def logs(here: Path) -> Path:
     for name, sign in (("ahead", 1.0), ("astern", -1.0)):
         run = profile_p(0.2, sign)
-        pl.DataFrame({"t": run.t, **run.channels}).write_csv(tmp_path / f"{name}.csv")
-    return tmp_path
+        pl.DataFrame({"t": run.t, **run.channels}).write_csv(here / f"{name}.csv")
+    return here
 
 
 def test_all_cases_of_both_directions_in_tables(logs: Path, capsys: Capture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from undertow.identification.logs.guess_frames import Guess, GuessedMapping
 from undertow.identification.logs.guess_names import Name
 from undertow.identification.logs.mapping import read_mapping
 from undertow.identification.logs.reading import in_vehicle_units, read_log
+from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
 
@@ -29,6 +31,13 @@ def _read(case: Path, log: str) -> dict[str, np.ndarray]:
     commands = load_vehicle(case / "usv.toml").command_names
     run = read_log(case / log, read_mapping(case / "log.toml"), commands)
     return {"t": run.t, **run.channels}
+
+
+def _read_by(guessed: GuessedMapping, log: Path, *commands: Sequence[str], **channels: Sequence[str]) -> Run:
+    """A log as its draft reads it, once that is a file."""
+    mapping = log.with_name("log.toml")
+    mapping.write_text(guessed.text())
+    return read_log(log, read_mapping(mapping), *commands, **channels)
 
 
 def _renamed(case: Path, **columns: pl.Expr) -> None:
@@ -400,8 +409,7 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     table |= {"heading_deg": 90.0 + t, "left_pwm": 1500.0 + t, "right_pwm": 1500.0 - t}
     (tmp_path / "own.csv").write_text(text_of(table))
     found = guess_mapping(tmp_path / "own.csv")
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     np.testing.assert_allclose(run.channels["x"], north, atol=0.02)
     np.testing.assert_allclose(run.channels["y"], east, atol=0.02)
     assert sum("metres from the first fix" in question for question in found.asked) == 1
@@ -422,8 +430,7 @@ def test_latitude_and_longitude_may_be_in_degrees_and_minutes(tmp_path: Path) ->
     (tmp_path / "own.csv").write_text(text_of({"t": t, "Lat": lat, "Lon": lon}))
     found = guess_mapping(tmp_path / "own.csv")
     assert any("if these are degrees and minutes (4854.6 for" in question for question in found.asked)
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     np.testing.assert_allclose(run.channels["x"], north, atol=0.05)
     np.testing.assert_allclose(run.channels["y"], east, atol=0.05)
 
@@ -440,8 +447,7 @@ def test_latitude_and_longitude_may_be_in_radians(
     (tmp_path / "own.csv").write_text(text_of(table))
     found = guess_mapping(tmp_path / "own.csv")
     assert any(f"if these are {unit}: are they?" in question for question in found.asked)
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     np.testing.assert_allclose(run.channels["x"], north, atol=0.1)
 
 
@@ -549,8 +555,7 @@ def test_a_time_of_day_to_the_second_is_a_clock_with_repeats(tmp_path: Path) -> 
     found = guess_mapping(tmp_path / "own.csv")
     assert found.time.entry == {"column": "Time", "unit": "iso", "disorder": "drop"}
     assert found.time.doubt.startswith("75% of its times repeat the one before: it has too few digits")
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     np.testing.assert_allclose(run.t, np.arange(100.0))
 
 
@@ -689,8 +694,7 @@ def test_a_quaternion_shows_by_its_length(
     table.write_csv(tmp_path / "own.csv")
     found = guess_mapping(tmp_path / "own.csv")
     assert any("squares sum to one" in question for question in found.asked)
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     for name, values in true.items():
         np.testing.assert_allclose(run.channels[name], values, atol=1e-9)
     assert not {"q", *gear} & {*run.channels}
@@ -1236,8 +1240,7 @@ def test_a_clock_in_whole_seconds_with_gaps_is_read_by_the_first_row_of_each(tmp
     found = guess_mapping(tmp_path / "dive.csv")
     assert found.time.entry == {"column": "Time", "unit": "s", "disorder": "drop"}
     assert "90% of its times repeat the one before: it has too few digits" in found.time.doubt
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "dive.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "dive.csv")
     np.testing.assert_allclose(run.t, np.append(np.arange(50.0), np.arange(130.0, 180.0)))
     np.testing.assert_allclose(run.channels["z"], run.t)
 
@@ -1289,8 +1292,7 @@ def test_latitude_and_longitude_that_repeat_between_fixes_are_read_where_they_ar
     found = guess_mapping(tmp_path / "own.csv")
     by_channel = {g.channel: g.entry.get("fresh") for g in found.columns}
     assert by_channel == {"x": "lat", "y": "lon", "r": None}
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"))
+    run = _read_by(found, tmp_path / "own.csv")
     north = run.reports("x")
     np.testing.assert_allclose(run.t[np.isfinite(north)], np.arange(60.0), atol=1e-9)
     np.testing.assert_allclose(np.diff(north[np.isfinite(north)]), 1.112, atol=1e-3)
@@ -1306,7 +1308,6 @@ def test_the_volume_that_a_glider_pumps_is_its_net_buoyancy(tmp_path: Path) -> N
     with_engine = heaving.with_effect(catalogue()["net_buoyancy"], {})
     found = guess_mapping(tmp_path / "own.csv", with_engine)
     assert any("m_ballast_pumped: B_net: weight of the water displaced" in q for q in found.asked)
-    (tmp_path / "log.toml").write_text(found.text())
-    run = read_log(tmp_path / "own.csv", read_mapping(tmp_path / "log.toml"), channels=["B_net"])
+    run = _read_by(found, tmp_path / "own.csv", channels=["B_net"])
     np.testing.assert_allclose(run.channels["B_net"], 1025 * 9.816 * 1e-6 * volume, rtol=1e-5)
     assert "B_net" not in {g.channel for g in guess_mapping(tmp_path / "own.csv", glider).columns}

@@ -38,13 +38,11 @@ order = "{order}"
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, the current one, on a wide terminal, with a mission and gains."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
+def here(here: Path) -> Path:
+    """A folder, the current one, with a mission and gains."""
     Path("m.toml").write_text(MISSION.format(kind="setpoints", x="4 m"))
     Path("g.toml").write_text(GAINS.format(order="together"))
-    return tmp_path
+    return here
 
 
 def test_a_mission_is_simulated_and_told(here: Path, capsys: Capture) -> None:

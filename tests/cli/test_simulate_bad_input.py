@@ -22,14 +22,6 @@ K_V = 2.0
 """
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, the current one, on a wide terminal."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    return tmp_path
-
-
 # --- bad input -----------------------------------------------------------------------------------
 BAD = {
     "dt too long": (["--dt", "2"], ["dt = 2 s", "limit is 0.275 s"]),

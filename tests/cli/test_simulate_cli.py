@@ -22,14 +22,6 @@ RUN = ["simulate", "mini-auv", "paper-pd", "--to", "-1,1,1"]
 SHORT = [*RUN, "--for", "2", "--dt", "0.01"]
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, the current one, on a wide terminal."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    return tmp_path
-
-
 def test_the_tables_tell_what_the_json_holds(here: Path, capsys: Capture) -> None:
     words = [*RUN, "--without", "rigid_body_coriolis", "--without", "added_mass_coriolis", "--json", "r.json"]
     assert main(words) == 0

@@ -19,13 +19,12 @@ from benchmarks.hidden_effects import Case
 from tests.cli.bad import LOG_COMMANDS, VEHICLE_COMMANDS, contents, each_once, refusal
 from tests.quick import first_quick
 from undertow.cli.main import main
-from undertow.codegen.compiler import find_compiler
+from undertow.codegen.compiler import Compiler
 from undertow.codegen.library import Library
 from undertow.model.loading import load_vehicle
 
 Capture = pytest.CaptureFixture[str]
 SOURCE = Path(__file__).parents[2] / "src" / "undertow"
-TESTS = Path(__file__).parents[1]
 
 # Each leaves a file behind where it is evaluated, run by a shell, or filled into a template.
 PAYLOADS = {
@@ -231,19 +230,6 @@ def test_that_check_sees_what_it_should(code: str) -> None:
     assert _findings(ast.parse(code), "x.py")
 
 
-def test_the_cache_of_compiled_code_has_its_tests() -> None:
-    """Mode 0700, refusal of places that others can write, rebuilding of what does not fit."""
-    text = (TESTS / "codegen" / "test_cache.py").read_text()
-    for name in (
-        "test_what_does_not_fit_is_built_again_and_not_loaded",
-        "test_the_cache_belongs_to_the_user_alone",
-        "test_a_folder_that_others_can_write_is_refused",
-        "test_a_folder_below_one_that_everybody_can_write_is_refused",
-        "test_a_link_in_place_of_the_folder_is_refused",
-    ):
-        assert f"def {name}(" in text
-
-
 # --- names in reports, on the terminal, in JSON and in vehicle files ------------------------------
 
 EVIL = """<script>alert("1 & 2")</script><img src=x onerror='alert(3)'>"""
@@ -327,28 +313,28 @@ C_NAMES = [
     "_Complex",
     "inline",
 ]
+
+
+def _compiles(folder: Path, compiler: Compiler) -> None:
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
+    command = [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 REFUSED = ["f-1", "f 1", "1f", "x" * 41, "é", "", 'f"; int y;', "f*/", "u", "psi", "tau_X", "t"]
 
 
 @pytest.mark.parametrize("name", first_quick(C_NAMES, 3))
-def test_a_thruster_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys: Capture) -> None:
+def test_a_thruster_may_be_called_as_it_likes_in_c(
+    name: str, case: Path, capsys: Capture, c_compiler: Compiler
+) -> None:
     _replaced(case, 'name = "f2"', f'name = "{name}"')
     if not re.match("[A-Za-z]", name):  # names begin with a letter
         assert f"'{name}'" in refusal(_words("export"), capsys, case)
         return
     assert main([*_words("export"), "--out", "b"]) == 0, capsys.readouterr().err
-    compiler = find_compiler()
-    if compiler is None:
-        pytest.skip("no C compiler")
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    folder = case / "b" / "usv"
-    done = subprocess.run(
-        [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
+    _compiles(case / "b" / "usv", c_compiler)
 
 
 @pytest.mark.parametrize("name", first_quick(REFUSED, 4))
@@ -364,17 +350,11 @@ def test_a_thruster_with_no_name_or_a_taken_one_is_refused(name: str, case: Path
     "name",
     first_quick(['a"; system("touch owned"); //', "*/ #error", "int", "double", "7", "main", "con"], 3),
 )
-def test_a_vehicle_may_be_called_as_it_likes_in_c(name: str, case: Path, capsys: Capture) -> None:
-    compiler = find_compiler()
-    if compiler is None:
-        pytest.skip("no C compiler")
+def test_a_vehicle_may_be_called_as_it_likes_in_c(name: str, case: Path, c_compiler: Compiler) -> None:
     _replaced(case, 'name = "usv"', f"name = {json.dumps(name)}")
     folder = Library(load_vehicle(case / "evil.toml")).write(case / "b").folder
     assert folder.parent == case / "b"
-    strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-    command = [*compiler.command, *strict, "-Isrc", *map(str, folder.resolve().rglob("*.c"))]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    _compiles(folder, c_compiler)
 
 
 def test_a_thruster_called_like_a_keyword_can_be_simulated(

@@ -18,15 +18,6 @@ from undertow.model.loading import bundled_vehicles
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder, the current one, with auv.toml, a copy of the mini-AUV."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    (tmp_path / "auv.toml").write_text(bundled_vehicles()["mini-auv"].read_text())
-    return tmp_path
-
-
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A folder after the first update of auv.toml with a law and a motion, and what that printed."""

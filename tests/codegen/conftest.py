@@ -1,4 +1,4 @@
-"""Compilers of the machine, and fresh caches."""
+"""Fresh caches."""
 
 from __future__ import annotations
 
@@ -7,16 +7,6 @@ from pathlib import Path
 import pytest
 
 from undertow.codegen import compiler
-from undertow.codegen.compiler import Compiler, find_compiler
-
-
-@pytest.fixture
-def c_compiler() -> Compiler:
-    """The C compiler of this machine; without one the test is skipped."""
-    found = find_compiler()
-    if found is None:
-        pytest.skip("no C compiler on this machine")
-    return found
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from tests.observer.test_design import with_current as usbl
 from tests.quick import first_quick
 from undertow.cli.main import main
 from undertow.codegen import Functions
+from undertow.codegen.compiler import pointer
 from undertow.codegen.library import Library, sizes, usual_compilers
 from undertow.control.controller import Controller, SymbolicAllocation, thruster_commands
 from undertow.control.gains import load_gains
@@ -64,10 +65,6 @@ def _array(values: Any, single: bool = False) -> np.ndarray:
     return np.array(values, dtype=np.float32 if single else np.float64)
 
 
-def _pointer(a: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(a.ctypes.data)
-
-
 @pytest.mark.parametrize(
     ("compiler", "flags"), first_quick([("gcc", ()), ("gcc", (SINGLE,)), ("clang", ()), ("clang", (SINGLE,))])
 )
@@ -110,7 +107,7 @@ def test_the_vehicle_moves_as_the_model_and_parameters_are_those_of_the_struct(
         x, u = rng.normal(size=f.x.numel()), rng.normal(size=f.u.numel())
         given = [_array(a, single) for a in (x, u, changed)]
         found = _array(np.zeros(x.size), single)
-        built.mini_auv_dynamics(*map(_pointer, given), real(0), _pointer(found))
+        built.mini_auv_dynamics(*map(pointer, given), real(0), pointer(found))
         expected = f.dynamics(x, u, changed, 0).full().ravel()
         np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
 
@@ -164,7 +161,7 @@ def test_allocation_is_that_of_python_and_of_the_struct(tmp_path: Path) -> None:
         p = _array(list(changed.values()))
         for tau in ([3.0, 0.0, -2.0, 0.5], [9.0, 0.0, 1.0, -0.8]):
             found, wanted = np.zeros(4), _array(tau)
-            built.mini_auv_paper_pid_allocate(_pointer(wanted), _pointer(p), _pointer(found))
+            built.mini_auv_paper_pid_allocate(pointer(wanted), pointer(p), pointer(found))
             exact = thruster_commands(SymbolicAllocation.of(stated), ca.SX(wanted))
             np.testing.assert_allclose(found, np.array(ca.DM(exact)).ravel(), rtol=1e-12, atol=1e-12)
     assert abs(found[1]) == pytest.approx(2.0)  # at its limit

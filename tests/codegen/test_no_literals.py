@@ -17,7 +17,7 @@ from tests.codegen.support import named_vehicle, random_parameters, vehicle_with
 from tests.observer.test_design import behind
 from tests.quick import first_quick
 from undertow.codegen import Functions
-from undertow.codegen.compiler import Compiler
+from undertow.codegen.compiler import Compiler, pointer
 from undertow.codegen.library import Library
 from undertow.control.gains import load_gains
 from undertow.control.guidance.line_of_sight import Guidance
@@ -140,7 +140,7 @@ def test_the_struct_with_other_numbers_is_the_vehicle_with_them(
     for _ in range(3):
         x, u = rng.normal(size=f.x.numel()), rng.normal(size=f.u.numel())
         found = np.full(x.size, np.nan)
-        built(*map(_pointer, (x, u, p)), ctypes.c_double(0.3), _pointer(found))
+        built(*map(pointer, (x, u, p)), ctypes.c_double(0.3), pointer(found))
         expected = np.asarray(f.dynamics(x, u, f.values(), 0.3)).ravel()
         assert np.isfinite(expected).all()
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
@@ -220,7 +220,3 @@ def _built(library: Library, compiler: Compiler, place: Path) -> Any:
     command = [*compiler.command, "-std=c99", "-O1", "-ffp-contract=off", "-shared", "-fPIC"]
     subprocess.run([*command, f"src/{name}_vehicle.c", "-lm", "-o", "it.so"], cwd=folder, check=True)
     return getattr(ctypes.CDLL(str(folder / "it.so")), f"{name}_dynamics")
-
-
-def _pointer(a: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(a.ctypes.data)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.quick import first_quick
-from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.codegen.compiler import Compiler, pointer
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
 from undertow.control.controller import Controller
@@ -46,14 +46,6 @@ GAIN = {
 }
 
 
-@pytest.fixture(scope="module")
-def compiler() -> Compiler:
-    found = find_compiler()
-    if found is None:
-        pytest.skip("no C compiler on this machine")
-    return found
-
-
 def table(law: str, **more: object) -> GainTable:
     gains = {g.name: GAIN[g.name] for g in LAWS[law].gains}
     content = {"schema": "undertow/gains/1", "name": f"all of {law}", "law": law, "gains": gains}
@@ -80,20 +72,16 @@ def compiled(controller: Controller, compiler: Compiler, folder: Path) -> tuple[
     return ctypes.CDLL(str(made / f"{part}.so")), f"{library.name}_{part}"
 
 
-def pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
-
-
 @pytest.mark.parametrize("law", first_quick(LAWS, 3))
-def test_the_step_in_c_is_that_of_python(law: str, compiler: Compiler, tmp_path: Path) -> None:
-    assert_same(auv(law), compiler, tmp_path)
+def test_the_step_in_c_is_that_of_python(law: str, c_compiler: Compiler, tmp_path: Path) -> None:
+    assert_same(auv(law), c_compiler, tmp_path)
 
 
 @pytest.mark.slow
-def test_six_degrees_of_freedom_and_eight_thrusters(compiler: Compiler, tmp_path: Path) -> None:
+def test_six_degrees_of_freedom_and_eight_thrusters(c_compiler: Compiler, tmp_path: Path) -> None:
     limits = {f"f{i}": 5.0 for i in range(1, 9)}
     gains = gains_from_table(table("pid", allocation={"limits": limits}), load_vehicle("bluerov2"))
-    assert_same(Controller(gains), compiler, tmp_path)
+    assert_same(Controller(gains), c_compiler, tmp_path)
 
 
 def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> None:
@@ -128,13 +116,13 @@ def assert_same(controller: Controller, compiler: Compiler, folder: Path) -> Non
     assert s[-1] == 1.0
 
 
-def test_the_heading_rule_goes_along(compiler: Compiler, tmp_path: Path) -> None:
+def test_the_heading_rule_goes_along(c_compiler: Compiler, tmp_path: Path) -> None:
     for rule, expected in (("atan2", 2.356194490192345), ("atan", -0.7853981633974483)):
         change = lambda t, rule=rule: t.model_copy(  # noqa: E731
             update={"name": rule, "schedule": t.schedule.model_copy(update={"heading": rule})}
         )
         controller = Controller(load_gains("paper-pd", load_vehicle("mini-auv"), change))
-        library, name = compiled(controller, compiler, tmp_path)
+        library, name = compiled(controller, c_compiler, tmp_path)
         heading = getattr(library, f"{name}_heading")
         heading.restype = ctypes.c_double
         assert heading(*map(ctypes.c_double, (0.0, 0.0, -1.0, 1.0))) == pytest.approx(expected, abs=1e-15)

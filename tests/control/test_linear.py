@@ -140,11 +140,9 @@ def test_a_flat_part_of_a_thrust_curve_hides_no_trim_and_is_named(tmp_path: Path
 @pytest.mark.parametrize(
     ("held", "free", "words"),
     [
-        ({"u": 0.5, "r": 0.1, "v": 0.0}, (), "no steady motion of 'mini-auv' has these values: v keeps"),
         ({"uu": 0.5}, (), "'uu' is not a velocity, pose or command of 'mini-auv' (did you mean 'u'?)"),
         ({"u": float("nan")}, (), "u = nan is not a value"),
         ({"x": 1.0}, (), "x cannot be held"),
-        ({"u": 0.5}, ("psi",), "'psi' cannot be left free"),
         ({"r": 0.5}, ("r",), "r is both held and free"),
     ],
 )
@@ -152,11 +150,6 @@ def test_what_is_no_trim_is_refused(auv: Vehicle, held: dict[str, float], free: 
     with pytest.raises(UndertowError) as caught:
         find_trim(auv, held, free=free)
     assert words in str(caught.value)
-
-
-def test_a_turn_in_a_current_is_no_steady_motion(rov: Vehicle) -> None:
-    with pytest.raises(UndertowError, match="forces change with psi"):
-        find_trim(in_current(rov, 0.2, 0.0), {"u": 0.5, "r": 0.1})
 
 
 def test_a_command_beyond_its_limit_is_named(auv: Vehicle) -> None:
@@ -311,16 +304,6 @@ def test_the_loop_of_python_control_is_the_compiled_one(auv: Vehicle, name: str)
     assert abs(run.state["x"][-1] - 0.0) > 0.1  # it has gone somewhere
     for name, values in zip(plant.output_labels, done.outputs, strict=True):
         np.testing.assert_allclose(values, run.state[name], atol=1e-8, err_msg=name)
-
-
-def test_a_law_that_jumps_has_no_linear_form(auv: Vehicle) -> None:
-    with pytest.raises(UndertowError, match="is discontinuous at its set-point"):
-        close_loop(auv, load_gains("paper-smc", auv))
-
-
-def test_a_pose_cannot_be_held_in_a_turn(auv: Vehicle) -> None:
-    with pytest.raises(UndertowError, match="cannot hold a turn"):
-        close_loop(auv, load_gains("paper-pd", auv), {"u": 0.5, "r": 0.1})
 
 
 # --- what a linear system tells -------------------------------------------------------------------

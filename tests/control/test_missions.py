@@ -18,6 +18,7 @@ import pytest
 import sympy as sm
 
 from tests.quick import first_quick, quick_if
+from undertow.codegen.compiler import pointer
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import slug
 from undertow.control.closed_loop import ClosedLoop, Overrides, Record, Scenario
@@ -528,7 +529,8 @@ def on_leg(**guidance: object) -> Mission:
 
 
 def test_a_torpedo_with_fins_comes_to_its_leg_across_a_current(remus: GainSet) -> None:
-    loop = ClosedLoop(remus, _in_current(remus), mission=on_leg())
+    moving = Overrides(current=(0.0, 0.3)).in_current(remus.plant.vehicle)
+    loop = ClosedLoop(remus, moving, mission=on_leg())
     record = loop.run(Scenario(duration=270.0, dt=0.05, start=(0, 10.0, 5.0), moving={"u": 1.5}))
     assert record.followed is not None
     late = (record.t > 225) & ~record.followed.arrived
@@ -537,12 +539,6 @@ def test_a_torpedo_with_fins_comes_to_its_leg_across_a_current(remus: GainSet) -
     slip = np.arctan2(record.state["v"], record.state["u"])[late] + record.state["psi"][late]
     assert slip == pytest.approx(0.0, abs=5e-3)  # over ground it goes north
     assert record.state["psi"][late] == pytest.approx(-math.asin(0.3 / 1.5), abs=0.03)
-
-
-def _in_current(gains: GainSet):  # type: ignore[no-untyped-def]
-    from undertow.control.closed_loop import Overrides
-
-    return Overrides(current=(0.0, 0.3)).in_current(gains.plant.vehicle)
 
 
 @pytest.mark.slow
@@ -704,7 +700,7 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
     function, random = controller.sampled, np.random.default_rng(2)
     s, k = np.zeros(function.size1_in("s")), np.array(controller.gain_values())
     p = np.array(list(controller.parametrised().values.values()))
-    getattr(library, f"{name}_start")(_pointer(s))
+    getattr(library, f"{name}_start")(pointer(s))
     n, expected = function.size1_in("y") // 2, np.array(controller.initial_states())
     u, tau = np.zeros(function.size1_out("u")), np.zeros(n)
     y, seen = np.zeros(2 * n), set()
@@ -714,18 +710,14 @@ def test_a_mission_in_c_is_that_of_python(kind: str, compiler: str, remus: GainS
             0.02 if kind == "spline" else 1
         ) + random.normal(size=2)
         y[2:] = 0.2 * random.normal(size=2 * n - 2)
-        arguments = map(_pointer, (y, r, s, p))
-        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(_pointer, (u, s, tau)))
+        arguments = map(pointer, (y, r, s, p))
+        getattr(library, f"{name}_step")(*arguments, ctypes.c_double(0.1), *map(pointer, (u, s, tau)))
         found = [np.asarray(v).ravel() for v in function(y, r, expected, k, 0.1)]
         expected = found[1]
         for mine, python in zip((u, s, tau), found, strict=True):
             assert mine == pytest.approx(python, abs=1e-12, rel=1e-12)
         seen.add(float(s[controller.state_names.index(of_kind[kind])]))
     assert len(seen) > 3
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 # --- files ------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ def _mass_matrix(root: ET.Element) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", first_quick(WHOLE))
-def test_the_bodies_of_the_file_are_the_rigid_body_of_theforce_of(name: str) -> None:
+def test_the_bodies_of_the_file_are_the_rigid_body_of_the_model(name: str) -> None:
     vehicle = load_vehicle(name)
     ours = force_of(vehicle, {"rigid_body"})
     n = Functions(vehicle).x.numel()
@@ -57,7 +57,7 @@ def test_motors_at_their_sites_have_the_wrench_of_the_thrusters(name: str) -> No
 
 
 @pytest.mark.parametrize("name", first_quick(WHOLE))
-def test_mujoco_has_the_mass_matrix_restoring_forces_and_thrust_of_theforce_of(name: str) -> None:
+def test_mujoco_has_the_mass_matrix_restoring_forces_and_thrust_of_the_model(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     vehicle = load_vehicle(name)
     loaded = mujoco.MjModel.from_xml_string(Mjcf(vehicle).text)

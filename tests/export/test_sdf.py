@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -12,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.export.support import cross, force_of, rotation
 from tests.quick import first_quick
 from undertow import UndertowError
 from undertow.cli.main import main
@@ -53,21 +55,17 @@ def _plugin_force(plugin: ET.Element, nu: np.ndarray) -> np.ndarray:
     return force
 
 
-def _of_effects(vehicle: Vehicle, families: set[str], ids: set[str] | None = None) -> ca.Function:
-    """`f(x)`: sum of the wrenches of these effects without acceleration and commands."""
-    f = Functions(vehicle)
-    chosen = [e.id for e in vehicle.all_effects if e.family in families and (ids is None or e.id in ids)]
-    total = sum((f.wrenches[i] for i in chosen), ca.SX(6, 1))
-    total = ca.substitute(total, ca.vertcat(f.nu_dot, f.actuation), 0 * ca.vertcat(f.nu_dot, f.actuation))
-    made = ca.Function("force", [f.x, f.p, f.t], [ca.densify(total)])
-    return lambda x: made(x, f.values(), 0).full().ravel()
+def _of_family(vehicle: Vehicle, family: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Sum of the wrenches of these effects without acceleration and commands."""
+    force = force_of(vehicle, {e.id for e in vehicle.all_effects if e.family == family})
+    return lambda x: force(x, np.zeros(6))
 
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_the_plugin_damps_as_the_model_does(name: str) -> None:
     vehicle, world = _world(name)
     plugin = world.find(".//plugin[@name='gz::sim::systems::Hydrodynamics']")
-    ours = _of_effects(vehicle, {"damping"})
+    ours = _of_family(vehicle, "damping")
     rng = np.random.default_rng(11)
     for nu in rng.uniform(-2, 2, (25, 6)):
         expected = ours(np.concatenate([np.zeros(6), nu]))
@@ -82,8 +80,8 @@ def test_mass_and_added_mass_are_those_of_the_model(name: str) -> None:
     inertial = world.find(".//link[@name='base_link']/inertial")
     m, r = _number(inertial, "mass"), _numbers(inertial, "pose")[:3]
     about = np.array([[_number(inertial, f"inertia/i{min(a, b)}{max(a, b)}") for a in "xyz"] for b in "xyz"])
-    cross = np.cross(np.eye(3), -r).T  # S(r) with S(r) a = r x a
-    body = np.block([[m * np.eye(3), -m * cross], [m * cross, about - m * cross @ cross]])
+    s = cross(r)
+    body = np.block([[m * np.eye(3), -m * s], [m * s, about - m * s @ s]])
     order = {c: i for i, c in enumerate("xyzpqr")}
     added = np.zeros((6, 6))
     for element in inertial.find("fluid_added_mass"):
@@ -108,13 +106,10 @@ def test_weight_and_archimedes_give_the_restoring_force(name: str) -> None:
     size, centre = _numbers(link, "collision/geometry/box/size"), _numbers(link, "collision/pose")[:3]
     lift, weight = density * g * size.prod(), _number(link, "inertial/mass") * g
     gravity_centre = _numbers(link, "inertial/pose")[:3]
-    ours = _of_effects(vehicle, {"statics"})
+    ours = _of_family(vehicle, "statics")
     rng = np.random.default_rng(13)
     for phi, theta, psi in rng.uniform(-1.2, 1.2, (10, 3)):
-        rolled = np.array(
-            [[1, 0, 0], [0, np.cos(phi), np.sin(phi)], [0, -np.sin(phi), np.cos(phi)]]
-        ) @ np.array([[np.cos(theta), 0, -np.sin(theta)], [0, 1, 0], [np.sin(theta), 0, np.cos(theta)]])
-        up = -ROTATION @ rolled @ np.array([0.0, 0.0, 1.0])  # forward-left-up
+        up = -ROTATION @ rotation(phi, theta, psi).T @ np.array([0.0, 0.0, 1.0])  # forward-left-up
         force = (lift - weight) * up
         moment = np.cross(centre, lift * up) - np.cross(gravity_centre, weight * up)
         expected = ours(np.array([0, 0, 0, phi, theta, psi, *np.zeros(6)]))

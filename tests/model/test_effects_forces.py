@@ -15,6 +15,7 @@ from benchmarks.hidden_effects.cases import EFFECTS
 from benchmarks.hidden_effects.registry import Draw
 from benchmarks.hidden_effects.vehicles import NOMINAL
 from benchmarks.hidden_effects.world import Moment, World, derivative, plain_world, quadratic_name
+from tests.model.test_vehicle_physics import cloud_values, force_on_cloud
 from undertow.identification.diagnosis.candidates import candidates
 from undertow.model.catalogue import catalogue
 from undertow.model.composition import statement_of
@@ -148,30 +149,15 @@ def test_nothing_is_left_at_rest_in_a_vehicle_at_neutral_values(effect_id: str) 
 
 
 # --- entrained water ------------------------------------------------------------------------------
-def cloud() -> tuple[Array, Array]:
-    """Particles of water (kg) and their places in the hull (m)."""
-    draw = np.random.default_rng(7)
-    return draw.uniform(0.5, 2.0, 12), draw.uniform(-0.5, 0.5, (12, 3)) + np.array([0.05, -0.1, 0.08])
-
-
 @pytest.fixture(scope="module")
 def flooded() -> Stated:
-    masses, places = cloud()
-    x, y, z = places.T
-    values = {"m_w": masses.sum(), "mx_w": masses @ x, "my_w": masses @ y, "mz_w": masses @ z}
-    values |= {"I_xw": masses @ (y**2 + z**2), "I_yw": masses @ (x**2 + z**2), "I_zw": masses @ (x**2 + y**2)}
-    values |= {"I_xyw": masses @ (x * y), "I_xzw": masses @ (x * z), "I_yzw": masses @ (y * z)}
-    return Stated("entrained_water", values)
+    """Particles of water in the place of those of a body: m_w, mx_w and I_xw for m, mx_g and I_x."""
+    names = {n: "m_w" if n == "m" else f"{n.removesuffix('g')}w" for n in cloud_values()}
+    return Stated("entrained_water", {names[n]: v for n, v in cloud_values().items()})
 
 
 def test_entrained_water_is_the_force_on_its_particles(flooded: Stated) -> None:
-    """Sum of m a and r x m a with a = v_dot + omega_dot x r + omega x (v + omega x r)."""
-    masses, places = cloud()
-    velocity = NU[:3] + np.cross(NU[3:], places)
-    acceleration = NU_DOT[:3] + np.cross(NU_DOT[3:], places) + np.cross(NU[3:], velocity)
-    force = masses[:, None] * acceleration
-    expected = np.concatenate([force.sum(axis=0), np.cross(places, force).sum(axis=0)])
-    assert -flooded(ETA, NU, NU_DOT) == pytest.approx(expected, rel=1e-12)
+    assert -flooded(ETA, NU, NU_DOT) == pytest.approx(force_on_cloud(NU, NU_DOT), rel=1e-12)
 
 
 def test_entrained_water_has_inertia_and_no_weight(flooded: Stated) -> None:

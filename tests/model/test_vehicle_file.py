@@ -452,11 +452,6 @@ def test_what_is_neither_a_file_nor_bundled(source: str) -> None:
         load_vehicle(source)
 
 
-def test_a_mistyped_bundled_vehicle_gets_the_nearest_name() -> None:
-    with pytest.raises(UndertowError, match=r"did you mean 'mini-auv'\?.*bundled are bluerov2"):
-        load_vehicle("mini-auw")
-
-
 def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")

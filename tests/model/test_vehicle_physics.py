@@ -103,6 +103,15 @@ def cloud() -> tuple[Array, Array]:
     return draw.uniform(0.5, 2.0, 12), draw.uniform(-0.5, 0.5, (12, 3)) + np.array([0.05, -0.1, 0.08])
 
 
+def force_on_cloud(nu: Array, nu_dot: Array) -> Array:
+    """Sum of m a and r x m a with a = v_dot + omega_dot x r + omega x (v + omega x r)."""
+    masses, places = cloud()
+    velocity = nu[:3] + np.cross(nu[3:], places)
+    acceleration = nu_dot[:3] + np.cross(nu_dot[3:], places) + np.cross(nu[3:], velocity)
+    force = masses[:, None] * acceleration
+    return np.concatenate([force.sum(axis=0), np.cross(places, force).sum(axis=0)])
+
+
 def cloud_values() -> dict[str, float]:
     masses, places = cloud()
     x, y, z = places.T
@@ -184,15 +193,9 @@ def test_inertia_of_a_body_is_that_of_its_particles(free_body: Numbers) -> None:
 
 
 def test_force_on_a_body_is_that_on_its_particles() -> None:
-    """Sum of m a and r x m a with a = v_dot + omega_dot x r + omega x (v + omega x r)."""
-    masses, places = cloud()
     body = Numbers(vehicle_with(BODY, "rigid_body", "rigid_body_coriolis"))
     nu, nu_dot = START[6:], np.array([0.3, -0.4, 0.2, 0.9, -0.8, 0.7])
-    velocity = nu[:3] + np.cross(nu[3:], places)
-    acceleration = nu_dot[:3] + np.cross(nu_dot[3:], places) + np.cross(nu[3:], velocity)
-    force = masses[:, None] * acceleration
-    expected = np.concatenate([force.sum(axis=0), np.cross(places, force).sum(axis=0)])
-    assert -body.residual(START[:6], nu, nu_dot) == pytest.approx(expected, rel=1e-12)
+    assert -body.residual(START[:6], nu, nu_dot) == pytest.approx(force_on_cloud(nu, nu_dot), rel=1e-12)
 
 
 def test_a_free_body_in_ideal_fluid_keeps_its_impulse_and_energy(free_body: Numbers) -> None:

@@ -16,7 +16,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from benchmarks.observer_log import auv
 from tests.quick import first_quick
-from undertow.codegen.compiler import find_compiler
+from undertow.codegen.compiler import find_compiler, pointer
 from undertow.codegen.library import Library
 from undertow.codegen.spelling import identifier, slug
 from undertow.control.closed_loop import ClosedLoop, Scenario
@@ -123,7 +123,7 @@ def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> No
     n, rows, dt = observer.process.x.numel(), 40, 0.1
     x, P = np.zeros(n), np.zeros((n, n))
     p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, f"{own}_parameters_default")))
-    getattr(library, f"{own}_start")(_pointer(x), _pointer(P), p)
+    getattr(library, f"{own}_start")(pointer(x), pointer(P), p)
     np.testing.assert_allclose(P, AT_REST.covariance(observer.process), rtol=1e-15)
     t, rng = dt * np.arange(rows), np.random.default_rng(5)
     u = np.column_stack([np.full(rows, -7.15), np.sin(t), np.full(rows, -7.15), np.cos(t)])
@@ -137,14 +137,14 @@ def test_the_filter_in_c_is_that_of_python(method: Method, tmp_path: Path) -> No
         held = np.ascontiguousarray(u[max(k - 1, 0)])
         if k:
             now, step = ctypes.c_double(t[k - 1]), ctypes.c_double(t[k] - t[k - 1])
-            new = _pointer(x), _pointer(P)
-            getattr(library, f"{own}_predict")(*new, _pointer(held), p, now, step, *new)
+            new = pointer(x), pointer(P)
+            getattr(library, f"{own}_predict")(*new, pointer(held), p, now, step, *new)
         for name, i in zip(observer.sensors, observer.channels, strict=True):
             if np.isfinite(y[k, i]):
                 update = getattr(library, f"{own}_update_{name}")
                 update.restype = ctypes.c_double
                 report = ctypes.c_double(y[k, i])
-                nis = update(_pointer(x), _pointer(P), _pointer(held), p, ctypes.c_double(t[k]), report)
+                nis = update(pointer(x), pointer(P), pointer(held), p, ctypes.c_double(t[k]), report)
                 assert nis == pytest.approx(python.innovation[k, i] ** 2 / python.variance[k, i], rel=1e-9)
         np.testing.assert_allclose(x, python.mean[k], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(P, python.covariance[k], rtol=1e-10, atol=1e-12)
@@ -168,20 +168,20 @@ def test_late_reports_in_c_are_used_when_they_were_true(method: Method, tmp_path
     variance[list(observer.channels)] = observer.variance
     x, P, memory = np.zeros(n), np.zeros((n, n)), np.zeros(100_000)
     p = ctypes.c_void_p(ctypes.addressof(ctypes.c_double.in_dll(library, f"{own}_parameters_default")))
-    state = _pointer(x), _pointer(P)
+    state = pointer(x), pointer(P)
     getattr(library, f"{own}_start")(*state, p)
     first, covariance = x.copy(), P.copy()
-    getattr(library, f"{own}_begin")(_pointer(memory), *state, ctypes.c_double(0.0))
+    getattr(library, f"{own}_begin")(pointer(memory), *state, ctypes.c_double(0.0))
     for k in range(rows):
         if k:
             held = np.ascontiguousarray(u[k - 1])
-            getattr(library, f"{own}_step")(_pointer(memory), *state, _pointer(held), p, ctypes.c_double(dt))
+            getattr(library, f"{own}_step")(pointer(memory), *state, pointer(held), p, ctypes.c_double(dt))
         for name, i in zip(observer.sensors, observer.channels, strict=True):
             row = k - late * (name == "u")
             if row >= 0 and np.isfinite(y[row, i]):
                 report = getattr(library, f"{own}_report_{name}")
                 report.restype = ctypes.c_double
-                assert report(_pointer(memory), *state, p, ctypes.c_double(y[row, i])) >= 0
+                assert report(pointer(memory), *state, p, ctypes.c_double(y[row, i])) >= 0
         if k in (2, 3, 17, rows - 1):
             known = y[: k + 1].copy()
             known[max(k + 1 - late, 0) :, observer.channels[-1]] = np.nan
@@ -191,14 +191,10 @@ def test_late_reports_in_c_are_used_when_they_were_true(method: Method, tmp_path
             np.testing.assert_allclose(P, python.covariance[-1], rtol=1e-9, atol=1e-12)
     # Steps shorter than was foreseen: the time of the report is not kept any more.
     for _ in range(10):
-        getattr(library, f"{own}_step")(_pointer(memory), *state, _pointer(held), p, ctypes.c_double(0.01))
+        getattr(library, f"{own}_step")(pointer(memory), *state, pointer(held), p, ctypes.c_double(0.01))
     before = x.copy()
-    assert report(_pointer(memory), *state, p, ctypes.c_double(0.1)) == -1
+    assert report(pointer(memory), *state, p, ctypes.c_double(0.1)) == -1
     assert np.array_equal(x, before)
-
-
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -506,8 +507,22 @@ def test_a_rotation_is_read_from_its_matrix(tmp_path: Path) -> None:
 
 
 # --- with OpenFOAM --------------------------------------------------------------------------------
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+def needs_openfoam(test: Callable[..., None]) -> Callable[..., None]:
+    without = shutil.which("pimpleFoam") is None
+    return pytest.mark.slow(pytest.mark.skipif(without, reason="OpenFOAM is not installed")(test))
+
+
+def _measured(root: Path, hull: Mesh, orders: TankPlan) -> float:
+    """The coefficient that the first case of a tank gives."""
+    tank, centred = make_tank(hull, orders, "hull.stl", "0" * 64)
+    one = tank.model_copy(update={"cases": tank.cases[:1]})
+    write_tank(root, one, centred)
+    run_tank(root, one)
+    (found,) = coefficients(root, one)
+    return found.value
+
+
+@needs_openfoam
 @pytest.mark.parametrize("prescribed", [True, False])
 def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: bool) -> None:
     hull = spheroid_mesh(0.5, 0.5, 4)
@@ -530,47 +545,32 @@ def test_added_mass_of_a_sphere_though_interrupted(tmp_path: Path, prescribed: b
     assert found.value == pytest.approx(sphere(0.25).matrix[0, 0], rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+@needs_openfoam
 def test_added_mass_of_a_cylinder_without_ends(tmp_path: Path) -> None:
     across = cylinder_mesh(2.0, 0.5, 96)
     hull = Mesh(across.vertices[:, [1, 0, 2]], across.faces[:, ::-1])
     orders = TankPlan(393.0, profiles=("push",), prescribed=True, grids=1, span="y")
-    tank, centred = make_tank(hull, orders, "cylinder.stl", "0" * 64)
-    write_tank(tmp_path, tank, centred)
-    run_tank(tmp_path, tank)
-    (found,) = coefficients(tmp_path, tank)
-    assert found.value == pytest.approx(1000 * np.pi * 0.25**2 * 2.0, rel=0.03)  # Lamb, of 2 m
+    lamb = 1000 * np.pi * 0.25**2 * 2.0  # of 2 m
+    assert _measured(tmp_path, hull, orders) == pytest.approx(lamb, rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+@needs_openfoam
 def test_added_mass_of_a_sphere_below_the_surface(tmp_path: Path) -> None:
     """31.3 kg by panels below a free surface at high frequency; 32.7 kg far from it."""
     hull = spheroid_mesh(0.5, 0.5, 4)
     orders = TankPlan(1000 * hull.volume, motions=("heave",), profiles=("push",), prescribed=True, depth=0.5)
-    tank, centred = make_tank(hull, replace(orders, grids=1), "sphere.stl", "0" * 64)
-    down = tank.model_copy(update={"cases": tank.cases[:1]})
-    write_tank(tmp_path, down, centred)
-    run_tank(tmp_path, down)
-    (found,) = coefficients(tmp_path, down)
-    assert found.value == pytest.approx(31.3, rel=0.03)
+    assert _measured(tmp_path, hull, replace(orders, grids=1)) == pytest.approx(31.3, rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+@needs_openfoam
 def test_added_mass_of_a_spheroid_across(tmp_path: Path) -> None:
     hull = spheroid_mesh(0.6, 0.2, 4)
     orders = TankPlan(1000 * hull.volume, motions=("sway",), profiles=("push",), prescribed=True, grids=1)
-    tank, centred = make_tank(hull, orders, "spheroid.stl", "0" * 64)
-    write_tank(tmp_path, tank, centred)
-    run_tank(tmp_path, tank)
-    (found,) = coefficients(tmp_path, tank)
-    assert found.value == pytest.approx(prolate_spheroid(0.6, 0.2).matrix[1, 1], rel=0.03)
+    expected = prolate_spheroid(0.6, 0.2).matrix[1, 1]
+    assert _measured(tmp_path, hull, orders) == pytest.approx(expected, rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("pimpleFoam") is None, reason="OpenFOAM is not installed")
+@needs_openfoam
 def test_steady_drag_of_a_cylinder(tmp_path: Path) -> None:
     """Water that moves with the body and flows in again at the outer boundary takes 5 to 9% off it."""
     run_tank(tmp_path / "cylinder-drag", made("cylinder-drag", tmp_path), grids=1)
