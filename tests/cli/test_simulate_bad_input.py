@@ -80,11 +80,6 @@ def test_a_vehicle_without_thrusters_is_refused(here: Path, capsys: Capture) -> 
     assert "no thruster" in line
 
 
-def test_a_sign_that_is_sampled_too_slowly_is_refused(here: Path, capsys: Capture) -> None:
-    words = ["simulate", "mini-auv", "paper-smc", "--to", "1,1,1", "--dt", "0.2"]
-    assert "must be below 0.07 s" in refusal(words, capsys, here)
-
-
 def test_thrusters_that_cannot_push_independently_are_refused(here: Path, capsys: Capture) -> None:
     """One pair of thrusters gives surge and yaw; a third below the origin pushes surge, and so pitches."""
     text = bundled_vehicles()["mini-auv"].read_text()

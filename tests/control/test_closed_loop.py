@@ -20,7 +20,7 @@ from undertow.errors import UndertowError
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 from undertow.model.symbols import FASTEST
-from undertow.model.vehicle import Value, Vehicle
+from undertow.model.vehicle import Value
 
 # --- 240 s at 1 ms: the rows of the paper's three controllers -----------------------------------
 ROWS = {
@@ -382,10 +382,3 @@ def test_a_heading_whole_turns_on_is_the_same_heading() -> None:
         assert psi.overshoot == pytest.approx(
             100 * max(0.0, float((-travelled * record.errors["psi"]).max())) / 3.1, abs=0.5
         )
-
-
-# --- what does not fit -------------------------------------------------------------------------------------
-def test_a_vehicle_without_what_the_controller_needs_is_refused() -> None:
-    surge: Vehicle = load_vehicle("cybership2")
-    with pytest.raises(UndertowError, match="lacks degree of freedom 'heave'"):
-        ClosedLoop(load_gains("paper-pd", AUV), surge)

@@ -181,9 +181,3 @@ def test_continuous_and_sampled_are_the_same_law() -> None:
 def test_limits_that_are_none_are_refused(table: AllocationTable, words: str) -> None:
     with pytest.raises(UndertowError, match=words):
         Controller(gain_set(allocation=table))
-
-
-@pytest.mark.parametrize("gate", ["0 deg", "-1 deg", "1 m"])
-def test_a_gate_that_is_none_is_refused(gate: str) -> None:
-    with pytest.raises(UndertowError, match="gate"):
-        Controller(gain_set(schedule=ScheduleTable(order="yaw-first", gate=gate)))

@@ -71,7 +71,6 @@ def test_the_integral_is_slowed_until_the_conditions_hold(auv: Vehicle) -> None:
     ("error", "force", "law", "words"),
     [
         ({**ERROR, "x": 0.0}, FORCE, "pd", "error of x is 0"),
-        ({"x": 1.0}, FORCE, "pd", "error of z is missing"),
         ({**ERROR, "y": 1.0}, FORCE, "pd", "error of y has no effect"),
         (ERROR, {**FORCE, "surge": float("inf")}, "pd", "force of surge is inf"),
         (ERROR, FORCE, "sliding-mode", "has no quadratic design"),

@@ -37,11 +37,16 @@ def one_direction(p: Plant) -> Plant:
     return substituted(p, {sm.sign(v): sm.Integer(1) for v in p.reversing})
 
 
+def closed_loop_derivative(value: sm.Expr, law: Law, s: LawSignals) -> sm.Expr:
+    """Derivative of an expression along the closed loop of a law that gets the force it asks for."""
+    moved, slope, net = derivative_parts(value, law, s)
+    return moved + (slope * s.plant.M.LUsolve(net))[0]
+
+
 def derivatives(plant: Plant, law: Law) -> tuple[sm.Expr, sm.Expr]:
     """The derivative of a law's candidate worked out from the model, and what it is said to be."""
-    s = LawSignals(plant, law)
-    moved, slope, net = derivative_parts(CANDIDATES[law.id].value(s), law, s)
-    return moved + (slope * s.plant.M.LUsolve(net))[0], CANDIDATES[law.id].derivative(s)
+    candidate, s = CANDIDATES[law.id], LawSignals(plant, law)
+    return closed_loop_derivative(candidate.value(s), law, s), candidate.derivative(s)
 
 
 def assert_zero(expression: sm.Expr) -> None:

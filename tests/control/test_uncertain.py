@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import sympy as sm
 
+from tests.control.test_lyapunov import closed_loop_derivative
 from tests.quick import first_quick
-from undertow.control.conditions.by_law import CANDIDATES, IOTA, closed_loop_derivative, numeric_plant
+from undertow.control.conditions.by_law import CANDIDATES, IOTA, numeric_plant
 from undertow.control.conditions.channels import coupled, coupled_roots, zero_dynamics
 from undertow.control.conditions.full_loop import certify
 from undertow.control.conditions.problem import ALL, NOMINAL, SOME, Problem, Uncertainty

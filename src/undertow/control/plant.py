@@ -24,14 +24,13 @@ class Plant:
     """The matrices of a vehicle in still water, as SymPy expressions derived from its effects.
 
     With a `speed` ahead, m/s, inputs whose force depends on the motion (fins, rudders) have the allocation
-    of that speed; without one they have none. Control surfaces and logged inputs, which no law commands, are
-    taken out of `vehicle`.
+    of that speed; without one they have none. `vehicle` is the model as given without logged inputs, which no
+    law commands, and without control surfaces where there is no speed.
 
     Every wrench is split by its dependence: its derivative in the acceleration goes to M, the part at rest to
     g, the part proportional to inputs to B, and the part due to motion to C (workless effects) or D (all
     others). Effects that do not fit are named in `left_out`, with the reason by id; simulations contain them,
-    conditions on gains do not. `vehicle` is the model as given, but for logged inputs, which no law commands,
-    and without a speed for control surfaces; `speed`, m/s, is that ahead at which forces of fins are taken.
+    conditions on gains do not.
     """
 
     def __init__(self, vehicle: Vehicle, speed: float = 0.0) -> None:

@@ -106,13 +106,19 @@ class Fmu:
         step = longest_step(self._functions, SETTINGS.max_step)
         return [
             Variable("time", "s", "independent", "continuous"),
-            *(_state(e, "output" if e.name in seen else "local") for e in states),
+            *(
+                Variable(e.name, e.unit, "output" if e.name in seen else "local", "continuous", "exact", 0.0)
+                for e in states
+            ),
             *(_rate(e, i) for i, e in enumerate(states, start=1)),
             *(
                 Variable(name, e.unit, "input", "continuous", None, 0.0, None, limits.get(e.name))
                 for name, e in inputs
             ),
-            *map(_parameter, self._manifest.parameters),
+            *(
+                Variable(e.name, e.unit, "parameter", "fixed", "exact", e.value)
+                for e in self._manifest.parameters
+            ),
             Variable("max_step", "s", "parameter", "fixed", "exact", step, meaning="longest step"),
             *(
                 Variable(f"actuators_{FORCE[i]}", FORCE_UNITS[i], "output", "continuous", "calculated",
@@ -244,17 +250,9 @@ class Fmu:
 
 
 # --- variables ------------------------------------------------------------------------------------
-def _state(entry: Entry, causality: str) -> Variable:
-    return Variable(entry.name, entry.unit, causality, "continuous", "exact", 0.0)
-
-
 def _rate(entry: Entry, state: int) -> Variable:
     unit = f"({entry.unit})/s" if "/" in entry.unit else f"{entry.unit or '1'}/s"
     return Variable(f"der({entry.name})", unit, "local", "continuous", "calculated", None, state)
-
-
-def _parameter(entry: Entry) -> Variable:
-    return Variable(entry.name, entry.unit, "parameter", "fixed", "exact", entry.value)
 
 
 def _double(value: float) -> str:

@@ -382,7 +382,7 @@ class Statement:
 
     answer: Answer  # "grew" (something changed, and it is known what), "none seen" or "cannot tell"
     # what changed, by name: "fouling", "thruster wear", "drag", "thrust", "added mass"; where it cannot be
-    # text which, all that it may be
+    # told which, all that it may be
     effects: tuple[str, ...]
     words: str  # one line
 

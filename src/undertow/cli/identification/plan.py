@@ -242,7 +242,8 @@ def show(done: Planned) -> None:
     what = f"{plan.vehicle}: {plan.manoeuvre}, {plan.duration:g} s at {plan.rate:g} Hz{begins}"
     console().print(text(what, "bold"))
     say(f"  best of {plan.tries} manoeuvres (seed {plan.seed}); {_best(plan)}")
-    say(f"  predicted: {_extremes(plan)}")
+    predicted = (_extreme(plan, what, value) for what, value in plan.extremes.items())
+    say(f"  predicted: {', '.join(predicted)}")
     say(f"  noise: {_noise(plan)}")
     section("Commands", _commands(plan))
     if plan.parameters:
@@ -272,10 +273,6 @@ def _gain(plan: Plan, value: float) -> str:
     mean = f"standard errors {100 * exp(sum(map(log, shares)) / len(shares)):.2g}% of the values on average"
     known = all(p.error_now is not None for p in plan.parameters)
     return f"{mean}, {value:.3g} times smaller than now" if known else mean
-
-
-def _extremes(plan: Plan) -> str:
-    return ", ".join(_extreme(plan, what, value) for what, value in plan.extremes.items())
 
 
 def _extreme(plan: Plan, what: str, value: float) -> str:

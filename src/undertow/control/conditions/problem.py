@@ -561,17 +561,11 @@ def _require_covariance(names: Sequence[str], matrix: Array) -> None:
         raise UndertowError(
             f"the covariance of {size} parameters has shape {matrix.shape}: give ({size}, {size})"
         )
-    wrong = [
-        n for n, row, own in zip(names, matrix, np.diag(matrix), strict=True) if not _is_spread(row, own)
-    ]
-    if wrong:
-        raise UndertowError(
-            f"the covariance of {wrong[0]} is not finite, or its variance is negative: correct the matrix"
-        )
-
-
-def _is_spread(row: Array, variance: float) -> bool:
-    return bool(np.isfinite(row).all() and variance >= 0)
+    for name, row, variance in zip(names, matrix, np.diag(matrix), strict=True):
+        if not (np.isfinite(row).all() and variance >= 0):
+            raise UndertowError(
+                f"the covariance of {name} is not finite, or its variance is negative: correct the matrix"
+            )
 
 
 class Uncertainty:

@@ -195,8 +195,9 @@ def _region_or_none(problem: Problem, found: Region) -> Region:
     starts = found.errors if found.level is None else _starts(problem, found.level)
     smallest = min(starts, key=lambda c: starts[c])
     if starts[smallest] < SETTINGS.smallest_error:
+        unit = "rad" if smallest in ANGLES else "m"
         return _no_region(
-            f"it would end at {starts[smallest]:.2g} {_unit(smallest)} in {smallest}; below "
+            f"it would end at {starts[smallest]:.2g} {unit} in {smallest}; below "
             f"{SETTINGS.smallest_error:g} it does not count as a region"
         )
     return replace(found, starts=dict(starts))
@@ -343,10 +344,6 @@ def _contains(problem: Problem, found: Region, start: Mapping[str, float]) -> bo
         return all(e < found.errors.get(c, np.inf) for c, e in start.items())
     pairs = zip(problem.coordinates, problem.values["K_P"], strict=True)
     return bool(sum(0.5 * k * start.get(c, 0.0) ** 2 for c, k in pairs) < found.level * (1 - 1e-9))
-
-
-def _unit(coordinate: str) -> str:
-    return "rad" if coordinate in ANGLES else "m"
 
 
 def _by_coordinate(problem: Problem, values: Array) -> dict[str, float]:
