@@ -116,4 +116,6 @@ def test_refusals_are_one_line(hull: Path, monkeypatch: pytest.MonkeyPatch, caps
     )
     assert "no logs yet" in refusal(["vehicle", "new", "--tank", "tank"], capsys, hull)
     monkeypatch.setenv("PATH", str(hull))
-    assert "apt-get install openfoam" in refusal(["tank", "run", "tank"], capsys, hull)
+    line = refusal(["tank", "run", "tank"], capsys, hull)
+    assert "OpenFOAM is not installed" in line
+    assert "apt-get install openfoam" in line

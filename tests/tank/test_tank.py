@@ -438,15 +438,6 @@ def test_what_the_solver_refuses_is_not_called_diverged(tmp_path: Path) -> None:
         run_tank(root, tank)
 
 
-def test_without_openfoam_one_line_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root, tank = _written(tmp_path)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(UndertowError, match=r"OpenFOAM is not installed .*: apt-get install openfoam"):
-        run_tank(root, tank)
-
-
 def test_motion_and_forces_of_runs_that_were_taken_up_again(tmp_path: Path) -> None:
     def state(t: float, x: float, v: float) -> str:
         return (

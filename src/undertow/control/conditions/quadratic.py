@@ -207,8 +207,8 @@ class QuadraticSearch:
 
     def _first_box(self) -> SpeedBox:
         K_P, K_V = (self.problem.values[g] for g in ("K_P", "K_V"))
-        M = np.min([np.diag(quadratic.inertia) for quadratic in self.problem.sets], axis=0)
-        D = np.min([np.diag(quadratic.damping) for quadratic in self.problem.sets], axis=0)
+        M = np.min([np.diag(signs.inertia) for signs in self.problem.sets], axis=0)
+        D = np.min([np.diag(signs.damping) for signs in self.problem.sets], axis=0)
         rate = np.minimum(np.sqrt(K_P / M), K_P / np.maximum(K_V + D, 1e-12))
         speeds = SETTINGS.first_speed * self.with_floor(rate * self.start)
         for group in self.loop.groups:
