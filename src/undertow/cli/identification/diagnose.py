@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._options import JsonFileOption, VehicleArgument, bundled
-from .._terminal import console, progress, say, section, show_finding, table, text
+from .._terminal import console, progress, say, section, show_finding, table
 from ._logs import LogsArgument, RigOptions, ValidationOption, of_experiment, say_long
 
 if TYPE_CHECKING:
@@ -155,10 +155,10 @@ def _write(
         elif apply is not None:
             save_diagnosis(outcomes[0], template, apply)
     for path in (path for _, *files in written for path in files if path is not None):
-        console().print(text(f"wrote {path}"))
+        say(f"wrote {path}")
     if apply is not None:
         contents = "; ".join(dict.fromkeys(_content(outcome.diagnosis) for outcome in outcomes))
-        console().print(text(f"wrote {apply}: {contents}"))
+        say(f"wrote {apply}: {contents}")
 
 
 _SHOWN = 6

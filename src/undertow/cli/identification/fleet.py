@@ -153,7 +153,7 @@ def diagnose(
         with together():
             write_whole(out / "report.json", json.dumps(found.plain(), indent=1, allow_nan=False) + "\n")
             write_whole(out / "report.md", page(found))
-        console().print(text(f"wrote {out / 'report.md'} and report.json"))
+        say(f"wrote {out / 'report.md'} and report.json")
         return 0 if found.whole else 1
 
 

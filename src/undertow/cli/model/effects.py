@@ -112,7 +112,7 @@ def new(
         raise UndertowError(f"'{target}' does not end in .py, as the file of an effect has to: --out {id}.py")
     found = suggested(read_diagnosis(diagnosis, Diagnosis), diagnosis.name) if diagnosis else example()
     write_whole(target, effect_file(id, target.name, found))
-    console().print(text(f"{'replaced' if replaced else 'wrote'} {target}"))
+    say(f"{'replaced' if replaced else 'wrote'} {target}")
     for term in found.terms:
         console().print(text(f"  {term.name}: {term.about}"))
 
