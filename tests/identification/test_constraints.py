@@ -20,8 +20,8 @@ from undertow.identification.diagnosis.bench import noise_ratio
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import verdicts
 from undertow.identification.estimation.output_error import fit_output_error
-from undertow.identification.estimation.pointwise import PositiveMatrices, added_mass_at_zero_frequency
-from undertow.identification.estimation.residual import Linearised, WeakModel
+from undertow.identification.estimation.pointwise import added_mass_at_zero_frequency
+from undertow.identification.estimation.residual import JointLimits, Linearised, WeakModel
 from undertow.identification.estimation.step import (
     Constraints,
     bounds_of,
@@ -128,8 +128,8 @@ def test_a_search_does_not_end_beyond_a_singular_mass_matrix(monkeypatch: pytest
     inside = fit_weak(stated, data, start={"Y_rdot": -6.0})
     assert inside.values["Y_rdot"] == pytest.approx(-2.0, abs=0.02)
     assert inside.active == []
-    monkeypatch.setattr(PositiveMatrices, "cuts", lambda self, p: [])
-    monkeypatch.setattr(PositiveMatrices, "violated", lambda self, p: False)
+    monkeypatch.setattr(JointLimits, "cuts", lambda self, p: [])
+    monkeypatch.setattr(JointLimits, "violated", lambda self, p: False)
     beyond = fit_weak(stated, data, start={"Y_rdot": -6.0})
     assert np.linalg.eigvalsh(_mass(Functions(beyond.vehicle)))[0] < 0
 
@@ -157,8 +157,8 @@ def test_where_nothing_is_violated_nothing_changes(monkeypatch: pytest.MonkeyPat
     case = make_case("usv", (), 4, duration=30.0, runs=("steps",))
     model, runs = with_effect(vehicle_of(case), "added_mass_coupling", Y_rdot=0.0), runs_of(case)
     guarded = fit_weak(model, prepare(runs, model))
-    monkeypatch.setattr(PositiveMatrices, "cuts", lambda self, p: [])
-    monkeypatch.setattr(PositiveMatrices, "violated", lambda self, p: False)
+    monkeypatch.setattr(JointLimits, "cuts", lambda self, p: [])
+    monkeypatch.setattr(JointLimits, "violated", lambda self, p: False)
     plain = fit_weak(model, prepare(runs, model))
     assert np.array_equal(guarded.p, plain.p)
     assert not any("mass" in line for line in guarded.active)

@@ -369,49 +369,26 @@ class Cut:
     limit: float
 
 
-class PositiveMatrices:
-    """Joint constraints on parameters: matrices that have to be positive.
+def positive_matrices(
+    functions: Functions, places: Sequence[int], *, dissipative: bool
+) -> list[PositiveMatrix]:
+    """Matrices that have to be positive; `places` are those of the free parameters.
 
     Dissipative linear damping, D + D' >= 0, is required only on request: at speed, the coefficients of a hull
     include lift and the Munk moment, which need not dissipate energy.
     """
-
-    def __init__(self, functions: Functions, places: Sequence[int], *, dissipative: bool = False) -> None:
-        self._places = list(places)
-        free = ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
-        stated = np.array(functions.values(), dtype=float)
-        found = [
-            _Matrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
-            for m in _masses(functions)
-        ]
-        if dissipative and (damping := _linear_damping(functions)) is not None:
-            found.append(_Matrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
-        self._all, self._matrices = found, [matrix for matrix in found if matrix.varies]
-
-    def cuts(self, p: Array) -> list[Cut]:
-        """Inequalities on a step from p for every matrix to be positive; empty if all are."""
-        return [cut for matrix in self._matrices for cut in matrix.cuts(p)]
-
-    def violated(self, p: Array) -> bool:
-        """Whether a matrix is not positive at p."""
-        return any(matrix.least(p) < -SETTINGS.rounding for matrix in self._matrices)
-
-    def impossible(self, p: Array) -> list[str]:
-        """Names of all matrices that are not positive at p, including those without free parameters."""
-        return [matrix.described(p) for matrix in self._all if matrix.least(p) < -SETTINGS.rounding]
-
-    def after_step(self, p: Array, step: Array) -> Array:
-        """All parameters after a step of the free ones."""
-        found = p.copy()
-        found[self._places] += step
-        return found
-
-    def active(self, p: Array) -> list[str]:
-        """Names of the active limits, with the motions that they concern."""
-        return [matrix.described(p) for matrix in self._matrices if matrix.least(p) < SETTINGS.at_limit]
+    free = ca.vertcat(*[functions.p[i] for i in places]) if places else ca.SX(0, 1)
+    stated = np.array(functions.values(), dtype=float)
+    found = [
+        PositiveMatrix("mass matrix M > 0", m, free, functions, stated, SETTINGS.least_mass)
+        for m in _masses(functions)
+    ]
+    if dissipative and (damping := _linear_damping(functions)) is not None:
+        found.append(PositiveMatrix("linear damping D + D' >= 0", damping, free, functions, stated, 0.0))
+    return found
 
 
-class _Matrix:
+class PositiveMatrix:
     """One symmetric matrix with the least eigenvalue that it may have, relative to its stated diagonal."""
 
     def __init__(
@@ -436,11 +413,20 @@ class _Matrix:
         weights, vectors = np.linalg.eigh(matrix * np.outer(self._scale, self._scale))
         return weights - self._least, vectors
 
-    def least(self, p: Array) -> float:
+    def is_negative(self, p: Array) -> bool:
+        """Whether it is not positive, beyond rounding."""
+        return self._least_eigenvalue(p) < -SETTINGS.rounding
+
+    def is_at_limit(self, p: Array) -> bool:
+        """Whether it is hardly positive, or not at all."""
+        return self._least_eigenvalue(p) < SETTINGS.at_limit
+
+    def _least_eigenvalue(self, p: Array) -> float:
         """Least eigenvalue above its limit, in shares of the stated inertia or damping."""
         return float(self._directions(p)[0][0])
 
     def cuts(self, p: Array) -> Iterator[Cut]:
+        """Inequalities on a step from p for the matrix to be positive."""
         over, vectors = self._directions(p)
         if over[0] >= -SETTINGS.rounding:
             return
@@ -451,6 +437,7 @@ class _Matrix:
                 yield Cut(np.einsum("i,kij,j->k", motion, slope, motion), -float(excess))
 
     def described(self, p: Array) -> str:
+        """Its name, with the motions that its least eigenvalue concerns."""
         direction = self._directions(p)[1][:, 0]
         part = np.abs(direction) > SETTINGS.named * np.max(np.abs(direction))
         return f"{self.name} ({', '.join(m for m, there in zip(self._motions, part, strict=True) if there)})"

@@ -20,7 +20,7 @@ from undertow.typing import Array, Flags, Index
 
 from .data import Segment, WeakData, residual_covariance
 from .inputs import Actuation, ActuatorStates, DrivenSignal, Memory
-from .pointwise import Cut, Pointwise, PositiveMatrices, largest_values
+from .pointwise import Cut, Pointwise, largest_values, positive_matrices
 from .test_functions import Entries, Supports, Whitening, overlap, weighted_sums, weights_and_equation
 
 # --- parameters that have a value of their own in every run ---------------------------------------
@@ -154,39 +154,45 @@ class RunValues:
         return found
 
 
-class PositiveMatricesByRun(PositiveMatrices):
-    """Joint constraints on parameters, for those of every run."""
+class JointLimits:
+    """Joint constraints on parameters: matrices that have to be positive, in every run that has values."""
 
-    def __init__(self, functions: Functions, values: RunValues, *, dissipative: bool = False) -> None:
-        super().__init__(functions, values.local, dissipative=dissipative)
+    def __init__(self, functions: Functions, values: RunValues, *, dissipative: bool) -> None:
+        self._all = positive_matrices(functions, values.local, dissipative=dissipative)
+        self._matrices = [matrix for matrix in self._all if matrix.varies]
         self._values = values
-        names = dict.fromkeys(run_of(n) for n in values.split)
+        # Without values by run, a run without a name has those of all.
+        names = dict.fromkeys(run_of(n) for n in values.split) or [""]
         self._runs = [Run(name, np.zeros(0), {}) for name in names]
 
+    def _by_run(self, p: Array) -> list[Array]:
+        return [self._values.of_run(p, run) for run in self._runs]
+
     def cuts(self, p: Array) -> list[Cut]:
-        """What a step from p has to do for every matrix to be positive in every run."""
-        found = ((r, super(PositiveMatricesByRun, self).cuts(self._values.of_run(p, r))) for r in self._runs)
-        return [Cut(self._values.expanded(c.slope, r), c.limit) for r, cuts in found for c in cuts]
+        """Inequalities on a step from p for every matrix to be positive; empty if all are."""
+        pairs = zip(self._runs, self._by_run(p), strict=True)
+        found = ((run, cut) for run, own in pairs for matrix in self._matrices for cut in matrix.cuts(own))
+        return [Cut(self._values.expanded(cut.slope, run), cut.limit) for run, cut in found]
 
     def violated(self, p: Array) -> bool:
-        """Whether a matrix is not positive in some run."""
-        return any(super(PositiveMatricesByRun, self).violated(self._values.of_run(p, r)) for r in self._runs)
+        """Whether a matrix is not positive at p."""
+        return any(matrix.is_negative(own) for own in self._by_run(p) for matrix in self._matrices)
 
     def impossible(self, p: Array) -> list[str]:
-        """Names of all matrices that are not positive in some run."""
-        found = (super(PositiveMatricesByRun, self).impossible(self._values.of_run(p, r)) for r in self._runs)
-        return list(dict.fromkeys(name for names in found for name in names))
+        """Names of all matrices that are not positive at p, including those without free parameters."""
+        found = (m.described(own) for own in self._by_run(p) for m in self._all if m.is_negative(own))
+        return list(dict.fromkeys(found))
+
+    def active(self, p: Array) -> list[str]:
+        """Names of the active limits, with the motions that they concern."""
+        found = (m.described(own) for own in self._by_run(p) for m in self._matrices if m.is_at_limit(own))
+        return list(dict.fromkeys(found))
 
     def after_step(self, p: Array, step: Array) -> Array:
         """All parameters after a step of the free ones."""
         found = p.copy()
         found[list(self._values.places)] += step
         return found
-
-    def active(self, p: Array) -> list[str]:
-        """Names of the limits that hold the parameters back in some run."""
-        found = (super(PositiveMatricesByRun, self).active(self._values.of_run(p, r)) for r in self._runs)
-        return list(dict.fromkeys(name for names in found for name in names))
 
 
 # --- the residual ---------------------------------------------------------------------------------
@@ -405,11 +411,9 @@ class WeakModel:
         self._cache: dict[int, _LastLinearisation] = {}
 
     @cached_property
-    def limits(self) -> PositiveMatrices:
+    def limits(self) -> JointLimits:
         """What the parameters can be together."""
-        if self.values.split:
-            return PositiveMatricesByRun(self.functions, self.values, dissipative=self._dissipative)
-        return PositiveMatrices(self.functions, self.places, dissipative=self._dissipative)
+        return JointLimits(self.functions, self.values, dissipative=self._dissipative)
 
     @cached_property
     def largest(self) -> Array:
