@@ -13,9 +13,11 @@ from undertow.identification.diagnosis.validation import SimulationValidator
 from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.residual import whitened
+from undertow.identification.estimation.step import Constraints
 from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
+    fit_under_noise,
     fit_weak,
     mean_square,
     with_reestimated_noise,
@@ -140,15 +142,9 @@ def _fitted(before: WeakFit, candidate: Candidate, true: Mapping[str, float]) ->
 
 
 def _fit(before: WeakFit, candidate: Candidate, start: Mapping[str, float], most: int) -> WeakFit:
-    return fit_weak(
-        candidate.vehicle,
-        before.data,
-        candidate.free(),
-        start=start,
-        whitening=before.whitening,
-        disturbance=before.disturbance,
-        max_iterations=most,
-    )
+    model = Constraints().model(candidate.vehicle, candidate.free())
+    noise = before.whitening, before.disturbance
+    return fit_under_noise(model, before.data, start, *noise, steps=most)
 
 
 def _starts(candidate: Candidate, true: Mapping[str, float], command: float) -> list[dict[str, float]]:

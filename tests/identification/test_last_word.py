@@ -103,7 +103,7 @@ def test_output_error_has_the_last_word_and_its_errors_are_honest() -> None:
 def test_a_model_that_is_far_off_is_not_fitted_by_simulation() -> None:
     vehicle = _case()[0]
     heavy = vehicle.with_values({n: Value(-500.0, estimate=True) for n in ("X_udot", "N_rdot")})
-    model = fit_weak(heavy, _bench().train, (), max_iterations=0)
+    model = fit_weak(heavy, _bench().train, ())
     fit, squares = _validator().refined(model)
     assert fit is model
     assert np.mean(squares) > 100

@@ -17,7 +17,7 @@ from undertow.identification import result_builder
 from undertow.identification.diagnosis.result import Indistinguishable
 from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import WeakModel
-from undertow.identification.estimation.weak_form import fit_weak, free_parameters
+from undertow.identification.estimation.weak_form import fit_under_noise, fit_weak, free_parameters
 from undertow.identification.logs.run import Run
 from undertow.identification.planning.manoeuvres import (
     REVERSAL,
@@ -424,7 +424,7 @@ def test_expected_distance_is_what_fits_find(drag_plan: Planned) -> None:
             data = prepare([log], _without_drag(), sigma=np.array([1.0, SIGMA]))
             p = np.array(models[truth].functions.values())
             noise = models[truth].whitening(data, p)
-            fits = [fit_weak(m, data, whitening=noise, disturbance=np.zeros(2)) for m in models]
+            fits = [fit_under_noise(m, data, {}, noise, np.zeros(2)) for m in models]
             excess.append(fits[rival].cost - fits[truth].cost)
         found.append(np.mean(excess))
     assert min(found) == pytest.approx(drag_plan.plan.separations[0].chi_square, rel=0.3)

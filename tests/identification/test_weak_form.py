@@ -19,7 +19,12 @@ from undertow.identification.estimation.residual import WeakModel
 from undertow.identification.estimation.step import at_bounds, prior_of
 from undertow.identification.estimation.test_functions import boxes
 from undertow.identification.estimation.test_functions import test_functions as functions_on
-from undertow.identification.estimation.weak_form import fit_weak, free_parameters, with_process_noise
+from undertow.identification.estimation.weak_form import (
+    fit_under_noise,
+    fit_weak,
+    free_parameters,
+    with_process_noise,
+)
 from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -306,7 +311,7 @@ def test_a_fit_ends_where_data_and_stated_priors_balance(tmp_path: Path) -> None
     loud = np.full(len(data.names), 1e-2)
     whitening = with_process_noise(weak.whitening(data, np.array(weak.functions.values())), loud, data)
     start = {n: model.value_of(n).value for n in tight}
-    fit = fit_weak(weak, data, start=start, whitening=whitening, disturbance=loud)
+    fit = fit_under_noise(weak, data, start, whitening, loud)
     centre, stiffness = prior_of(weak)
     values = fit.p[list(weak.places)]
     slope = fit.at.J.T @ fit.at.r + stiffness**2 * (values - centre)

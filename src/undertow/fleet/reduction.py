@@ -20,10 +20,10 @@ from undertow.identification.estimation.fitted import TriangularFactor
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
+    fit_under_noise,
     free_parameters,
     initial_disturbance,
     matched_disturbance,
-    start_fit,
     with_process_noise,
 )
 from undertow.identification.logs.chunks import long_logs
@@ -120,7 +120,9 @@ class Panel:
         """Noise of the sensors, and on top what the model leaves after one step of its own."""
         first = initial_disturbance(self.base, data, p)
         sensor_noise = self.base.whitening(data, p)
-        fit = start_fit(self.base, data, {}, with_process_noise(sensor_noise, first, data), first, steps=1)
+        fit = fit_under_noise(
+            self.base, data, {}, with_process_noise(sensor_noise, first, data), first, steps=1
+        )
         return with_process_noise(sensor_noise, matched_disturbance(fit, sensor_noise), data)
 
     def _columns(self, data: WeakData) -> list[Array]:

@@ -24,13 +24,13 @@ from undertow.identification.estimation.residual import (
     whitened,
     with_values_by_run,
 )
-from undertow.identification.estimation.step import prior_distance
+from undertow.identification.estimation.step import Constraints, prior_distance
 from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
     estimation_part_factor,
     first_part,
-    fit_weak,
+    fit_under_noise,
     fit_weak_by_run,
     free_parameters,
     mean_square,
@@ -177,16 +177,9 @@ class Bench:
         if isinstance(model, Vehicle):
             names = free_parameters(model) if free is None else free
             free = with_values_by_run(names, stated_by_run(model, names), origins(self.train.runs))
-        fit = fit_weak(
-            model,
-            self.train,
-            free,
-            start=start,
-            whitening=self.train_whitening,
-            disturbance=self.base.disturbance,
-            tolerance=tolerance,
-        )
-        return self.in_all_runs(fit)
+            model = Constraints().model(model, free)
+        noise = self.train_whitening, self.base.disturbance
+        return self.in_all_runs(fit_under_noise(model, self.train, start or {}, *noise, tolerance=tolerance))
 
     def with_model(self, vehicle: Vehicle, start: Mapping[str, float]) -> Bench:
         """The bench whose base is another model, fitted from a start."""
@@ -220,14 +213,8 @@ class Bench:
 
     def _refitted_base(self, noise: list[Whitening], disturbance: Array, tolerance: float = 0.0) -> WeakFit:
         """The model without any candidate, fitted under another noise model."""
-        return fit_weak(
-            self.base.model,
-            self.train,
-            start=self.base.values,
-            whitening=noise,
-            disturbance=disturbance,
-            tolerance=tolerance,
-        )
+        start = self.base.model, self.train, self.base.values
+        return fit_under_noise(*start, noise, disturbance, tolerance=tolerance)
 
     @property
     def command_scale(self) -> float:

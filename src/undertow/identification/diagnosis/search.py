@@ -13,11 +13,7 @@ import numpy as np
 from undertow.identification.estimation.data import WeakData, inverse_of
 from undertow.identification.estimation.residual import base_name, whitened
 from undertow.identification.estimation.step import freed
-from undertow.identification.estimation.weak_form import (
-    WeakFit,
-    fit_weak,
-    with_reestimated_noise,
-)
+from undertow.identification.estimation.weak_form import WeakFit, refitted, with_reestimated_noise
 from undertow.model.catalogue import Catalogue
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Progress
@@ -436,10 +432,4 @@ def last_fit(fit: WeakFit, candidates: Sequence[Candidate], settings: Settings =
 
 def _refitted(fit: WeakFit, free: Collection[str]) -> WeakFit:
     start = {n: v for n, v in fit.values.items() if n in free}
-    return fit_weak(
-        fit.model.with_free(tuple(free)),
-        fit.data,
-        start=start,
-        whitening=fit.whitening,
-        disturbance=fit.disturbance,
-    )
+    return refitted(fit, fit.model.with_free(tuple(free)), start)

@@ -30,10 +30,10 @@ from undertow.identification.estimation.step import (
 from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     WeakFit,
-    fit_weak,
+    fit_under_noise,
     predicted_cost,
+    refitted,
     split_between_runs,
-    start_fit,
     with_reestimated_noise,
 )
 from undertow.typing import Array
@@ -141,14 +141,8 @@ def _refit(candidate: Candidate, fit: WeakFit, kept: tuple[str, ...], tolerance:
     # A dropped parameter returns to its value in the vehicle of the candidate: zero, or its default.
     start = {n: v for n, v in fit.values.items() if n not in dropped}
     free = tuple(n for n in fit.model.free if n not in dropped)
-    return fit_weak(
-        candidate.model(free).with_known_values(fit.model.values.known),
-        fit.data,
-        start=start,
-        whitening=fit.whitening,
-        disturbance=fit.disturbance,
-        tolerance=tolerance,
-    )
+    model = candidate.model(free).with_known_values(fit.model.values.known)
+    return refitted(fit, model, start, tolerance=tolerance)
 
 
 def _ineffective(candidate: Candidate, fit: WeakFit, dropped: Collection[str]) -> set[str]:
@@ -235,12 +229,12 @@ class Screened:
         model = candidate.model_from(start)
         noise, tolerance = (bench.train_whitening, bench.base.disturbance), bench.settings.first_step
         begin = bench.base.values | dict(start)
-        self.start = start_fit(model, bench.train, begin, *noise, steps=steps, tolerance=tolerance)
+        self.start = fit_under_noise(model, bench.train, begin, *noise, steps=steps, tolerance=tolerance)
         self.cost, after = predicted_cost(self.start)
         if names := _better_by_run(self.start.model, self.start.at, self.cost, candidate, bench.train):
             free = with_values_by_run(self.start.model.free, names, candidate.runs)
             split = self.start.model.with_free(free)
-            self.start = start_fit(
+            self.start = fit_under_noise(
                 split, bench.train, self.start.values, *noise, steps=steps, tolerance=tolerance
             )
             self.cost, after = predicted_cost(self.start)

@@ -14,9 +14,10 @@ from undertow.identification.estimation.data import WeakData, inverse_of, prepar
 from undertow.identification.estimation.fitted import MORE_THAN_CHANCE
 from undertow.identification.estimation.prediction_error import refit_by_prediction_error, vuong_p_value
 from undertow.identification.estimation.residual import whitened
-from undertow.identification.estimation.step import normal_equations, prior_of
+from undertow.identification.estimation.step import Constraints, normal_equations, prior_of
 from undertow.identification.estimation.weak_form import (
     WeakFit,
+    fit_under_noise,
     fit_weak,
     free_parameters,
     mean_square,
@@ -142,9 +143,9 @@ class Dynamics:
             return None
         model = vehicle or self.vehicle
         names = (*free_parameters(model), *free)
-        noise = {"whitening": self.fit.whitening, "disturbance": self.fit.disturbance}
+        noise = self.fit.whitening, self.fit.disturbance
         try:
-            return fit_weak(model, data, names, **noise)  # type: ignore[arg-type]
+            return fit_under_noise(Constraints().model(model, names), data, {}, *noise)
         except (UndertowError, np.linalg.LinAlgError):
             return None
 

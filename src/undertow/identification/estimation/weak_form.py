@@ -162,27 +162,44 @@ def fit_weak(
     free: Sequence[str] | None = None,
     *,
     start: Mapping[str, float] | None = None,
-    whitening: list[Whitening] | None = None,
-    disturbance: Array | None = None,
-    max_iterations: int = SETTINGS.most_steps,
-    tolerance: float = 0.0,
     constraints: Constraints = _PLAIN,
 ) -> WeakFit:
     """Fit the free parameters of a vehicle, by default those that it marks with `estimate`.
 
     A `WeakModel` has its own free parameters and constraints. `start` has starting values that differ from
-    the vehicle's; `whitening` and `disturbance` are the noise model, estimated from the residual of the fit
-    itself where not given. The search ends where the predicted reduction is less than `tolerance`, as a
-    share of the sum of squares.
+    the vehicle's. The noise model is estimated from the residual of the fit itself.
     """
     model = vehicle if isinstance(vehicle, WeakModel) else _model_of(vehicle, free, constraints)
     p = model.initial_p(start or {})
-    if whitening is not None and disturbance is not None:
-        return _gauss_newton(model, p, data, whitening, disturbance, max_iterations, tolerance)
     model.require_defined(data, p)
     disturbance = initial_disturbance(model, data, p)
     noise = with_process_noise(model.whitening(data, p), disturbance, data)
-    return with_reestimated_noise(_gauss_newton(model, p, data, noise, disturbance, max_iterations))
+    return with_reestimated_noise(_gauss_newton(model, p, data, noise, disturbance))
+
+
+def fit_under_noise(
+    model: WeakModel,
+    data: WeakData,
+    start: Mapping[str, float],
+    whitening: list[Whitening],
+    disturbance: Array,
+    *,
+    steps: int = SETTINGS.most_steps,
+    tolerance: float = 0.0,
+) -> WeakFit:
+    """Fit a model from starting values under a given noise model.
+
+    The search ends where the predicted reduction is less than `tolerance`, as a share of the sum of squares.
+    """
+    return _gauss_newton(model, model.initial_p(start), data, whitening, disturbance, steps, tolerance)
+
+
+def refitted(
+    fit: WeakFit, model: WeakModel, start: Mapping[str, float] | None = None, *, tolerance: float = 0.0
+) -> WeakFit:
+    """Another model fitted to the data of a fit under its noise model, by default from its values."""
+    begin = fit.values if start is None else start
+    return fit_under_noise(model, fit.data, begin, fit.whitening, fit.disturbance, tolerance=tolerance)
 
 
 def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
@@ -206,8 +223,7 @@ def split_between_runs(fit: WeakFit, among: Collection[str] | None = None) -> We
     while groups:
         names = [name for group in groups for name in group]
         model = fit.model.with_free(with_values_by_run(fit.model.free, names, origins(fit.data.runs)))
-        noise = fit.whitening, fit.disturbance
-        split = start_fit(model, fit.data, fit.values, *noise, steps=SETTINGS.most_steps)
+        split = refitted(fit, model)
         values = split.p[list(model.places)]
         worst, chance = least_differing(model, values, split.covariance, groups)
         if chance < BETWEEN_RUNS.chance:
@@ -230,7 +246,7 @@ def with_reestimated_noise(fit: WeakFit, most: int = SETTINGS.noise_rounds) -> W
         disturbance = matched_disturbance(fit, sensor_noise)
         changed = np.max(np.abs(np.log((disturbance + 1e-30) / (fit.disturbance + 1e-30))))
         whitening = with_process_noise(sensor_noise, disturbance, fit.data)
-        fit = _gauss_newton(fit.model, fit.p, fit.data, whitening, disturbance, SETTINGS.most_steps)
+        fit = _gauss_newton(fit.model, fit.p, fit.data, whitening, disturbance)
         if changed < SETTINGS.noise_converged or not np.any(disturbance):
             break
     return _without_disturbance(fit)
@@ -248,27 +264,13 @@ def _without_disturbance(fit: WeakFit) -> WeakFit:
     if np.nanmax(left) > SETTINGS.without_disturbance_limit:
         return fit
     zero = np.zeros_like(fit.disturbance)
-    other = _gauss_newton(fit.model, fit.p, fit.data, sensor_noise, zero, SETTINGS.most_steps)
+    other = _gauss_newton(fit.model, fit.p, fit.data, sensor_noise, zero)
     return other if fits_noise(other.at, fit.data) else fit
 
 
 def _noise_outdated(p: Array, since: Array) -> bool:
     """Whether a parameter has changed so much that sensor noise enters differently."""
     return bool(np.any(np.abs(p - since) > SETTINGS.noise_update * np.abs(since)))
-
-
-def start_fit(
-    model: WeakModel,
-    data: WeakData,
-    start: Mapping[str, float],
-    whitening: list[Whitening],
-    disturbance: Array,
-    *,
-    steps: int = 0,
-    tolerance: float = 0.0,
-) -> WeakFit:
-    """A model at the start of a search, after a few steps if any, as long as they reduce the cost enough."""
-    return _gauss_newton(model, model.initial_p(start), data, whitening, disturbance, steps, tolerance)
 
 
 def predicted_cost(fit: WeakFit) -> tuple[float, dict[str, float]]:
@@ -285,7 +287,7 @@ def _gauss_newton(
     data: WeakData,
     whitening: list[Whitening],
     disturbance: Array,
-    max_iterations: int,
+    most_steps: int = SETTINGS.most_steps,
     tolerance: float = 0.0,
 ) -> WeakFit:
     """Gauss-Newton steps from p under a fixed noise model, damped where a full one raises the cost."""
@@ -293,7 +295,7 @@ def _gauss_newton(
     p = space.nearest(p)
     at = whitened(model.linearise(data, p), whitening)
     iteration, damping = 0, 0.0
-    for _ in range(max_iterations):
+    for _ in range(most_steps):
         step, cost = space.step(at, p), space.cost(p, squared(at.r))
         predicted = space.predicted_cost(p, step, at.r + at.J @ step)
         if cost - predicted < max(SETTINGS.least_reduction, tolerance * squared(at.r)):

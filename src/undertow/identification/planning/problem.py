@@ -175,9 +175,7 @@ def _information_of_logs(fit: WeakFit) -> tuple[Array, Array]:
     weak_prior = np.diag(prior_of(fit.model)[1] ** 2)
     robust = np.sqrt(np.diag(fit.covariance) / np.maximum(np.diag(inverse_of(fit.information)), 1e-300))
     logs = fit.gram / np.outer(robust, robust)
-    parts = fit.model.linearise(fit.data, fit.p)
-    slopes = whitened(parts, fit.model.whitening(fit.data, fit.p)).J
-    by_noise = np.diag(inverse_of(slopes.T @ slopes + weak_prior))
+    by_noise = np.diag(inverse_of(fit.noise_gram + weak_prior))
     inflation = np.sqrt(np.diag(inverse_of(logs + weak_prior)) / np.maximum(by_noise, 1e-300))
     return logs, np.maximum(inflation, 1.0)
 
