@@ -259,10 +259,9 @@ def _values(parameters: Sequence[Estimate], most: int) -> str:
 
 
 def _change(share: float) -> str:
-    from undertow.identification.diagnosis.prediction_gain import WORDING
+    from undertow.identification.diagnosis.prediction_gain import DIVERGES
 
-    most = WORDING.diverges
-    return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
+    return f"> +{DIVERGES:.0%}" if share > DIVERGES else f"{share:+.0%}"
 
 
 def _show_steps(diagnosis: Diagnosis) -> None:

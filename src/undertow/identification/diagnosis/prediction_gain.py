@@ -13,15 +13,7 @@ from .evidence import FoundEffect
 from .settings import DEFAULT, Settings
 from .validation import SimulationValidator, worse_by_rank_test
 
-
-@dataclass(frozen=True)
-class Wording:
-    """How changes of an error are put into words."""
-
-    diverges: float = 10.0  # rise of an error, relative, above which its digits mean nothing
-
-
-WORDING = Wording()
+DIVERGES = 10.0  # relative rise of an error above which its digits mean nothing
 #: Mean squares of prediction errors by horizon, in s: (b, n) by window and channel.
 Squares = Mapping[float, Array]
 
@@ -103,7 +95,7 @@ class PredictionGain:
         longest = long_horizons(self.falls)[-1]
         if raised := self._raised(least):
             much = -self.falls[raised[-1]]
-            if much > WORDING.diverges:
+            if much > DIVERGES:
                 return f"makes predictions over {raised[-1]:g} s diverge"
             words = f"{much:.0%}" if much > 0.005 else "a little"
             return f"increases the prediction error over {raised[-1]:g} s by {words}"

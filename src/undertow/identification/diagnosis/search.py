@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -239,7 +238,7 @@ def _stepwise(
         vehicle,
         undisturbed,
         known,
-        partial(_report_late, report),
+        lambda done, words: report(0.9, words),
         residual_is_noise,
         steps.effect_set,
         _none_to_free,
@@ -249,10 +248,6 @@ def _stepwise(
     ):
         return replace(again, rounds=[*steps.rounds[:-1], *again.rounds])
     return replace(steps, second_look=again.rounds[0])
-
-
-def _report_late(report: Progress, done: float, words: str) -> None:
-    report(0.9, words)
 
 
 def _steps(
@@ -268,14 +263,8 @@ def _steps(
     rounds: list[Round] = []
     effect_set, fit = list(found), bench.base
     while len(effect_set) < bench.settings.max_effects:
-        current = _led_by_adequate(
-            try_all(
-                bench,
-                known,
-                _scaled(report, len(rounds) / bench.settings.max_effects, 1.0 / bench.settings.max_effects),
-            ),
-            residual_is_noise,
-        )
+        part = _scaled(report, len(rounds), bench.settings.max_effects)
+        current = _led_by_adequate(try_all(bench, known, part), residual_is_noise)
         rounds.append(current)
         if names := to_free(current, residual_is_noise):
             return _Steps(rounds, effect_set, fit, names)
@@ -329,9 +318,9 @@ def _led_by_adequate(current: Round, residual_is_noise: IsNoise) -> Round:
     return replace(current, findings=[adequate, *(f for f in current.findings if f is not adequate)])
 
 
-def _scaled(report: Progress, begin: float, share: float) -> Progress:
-    """Progress within one round as progress of the whole."""
-    return lambda done, words: report(0.9 * (begin + share * done), words)
+def _scaled(report: Progress, rounds: int, most: int) -> Progress:
+    """Progress within the next of `most` rounds as progress of the whole."""
+    return lambda done, words: report(0.9 * (rounds + done) / most, words)
 
 
 def _refitted_together(

@@ -379,11 +379,9 @@ def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[st
 
 def _value_in_words(stated: Vehicle, fit: Fitted, name: str, alike: Sequence[str]) -> str:
     found = estimate(fit, name, stated)
-    error = "" if found.standard_error is None else f" ± {found.standard_error:.1g}"
-    unit = f" {found.unit}" if found.unit else ""
     before = "" if found.prior is None else f" where the file has {found.prior:.4g}"
     same = f" ({' or '.join(alike)} would do the same)" if alike else ""
-    return f"{name} = {found.value:.4g}{error}{unit}{before}{same}"
+    return f"{found}{before}{same}"
 
 
 def with_changed_values(judgement: Judgement, values: str, residual_is_noise: bool) -> str:
@@ -483,15 +481,8 @@ def _separated_by(moved: list[str]) -> str:
     )
 
 
-@dataclass(frozen=True)
-class WarningSettings:
-    """What warnings say of a parameter that has moved."""
-
-    named_others: int = 2  # effects beside the best that bring it back
-    on_bound: float = 1e-6  # relative distance up to which a value is on its bound
-
-
-_WARNINGS = WarningSettings()
+_NAMED_OTHERS = 2  # effects beside the best that bring a parameter back, as far as a warning names them
+_ON_BOUND = 1e-6  # relative distance up to which a value is on its bound
 
 
 @dataclass(frozen=True)
@@ -582,7 +573,7 @@ def _far_by_factor(value: float, stated: float, factor: float) -> bool:
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
     """The physical bound that a value lies on or beyond, or None."""
     low, high = vehicle.declaration(name).bounds
-    slack = _WARNINGS.on_bound * max(abs(vehicle.value_of(name).value), abs(value))
+    slack = _ON_BOUND * max(abs(vehicle.value_of(name).value), abs(value))
     return low if value <= low + slack else high if value >= high - slack else None
 
 
@@ -590,22 +581,20 @@ def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
 def _warning(
     vehicle: Vehicle, shifted: _ShiftedParameter, restoring: Sequence[ImprovedModel], alike: Sequence[str]
 ) -> str:
-    declared = vehicle.declaration(shifted.name).name
-    owner = next(e.id for e in vehicle.all_effects if any(p.name == declared for p in e.parameters))
+    owner = _effect_of(vehicle, vehicle.declaration(shifted.name).name)
     line = f"{owner.replace('_', ' ')}: {shifted.name} {_shift_in_words(vehicle, shifted)}"
     if not restoring:
         missing = " or ".join(alike) or "something that is missing"
         return f"{line}: either the prior is wrong, or it compensates for {missing}"
     best, after = restoring[0].name, restoring[0].values[shifted.name]
-    others = [h.name for h in restoring[1:] if not {*restoring[0].effects} & {*h.effects}][
-        : _WARNINGS.named_others
-    ]
+    others = [h.name for h in restoring[1:] if not {*restoring[0].effects} & {*h.effects}]
     back = (
         f"{after / shifted.prior:.3g} times its prior"
         if shifted.prior
         else _printed(vehicle, shifted.name, after)
     )
-    return f"{line}: it is absorbing {' or '.join([best, *others])}; with {best} it returns to {back}"
+    names = " or ".join([best, *others[:_NAMED_OTHERS]])
+    return f"{line}: it is absorbing {names}; with {best} it returns to {back}"
 
 
 def _shift_in_words(vehicle: Vehicle, shifted: _ShiftedParameter) -> str:

@@ -18,19 +18,7 @@ from undertow.model.units import dimension
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-
 # --- natural sizes of parameters ------------------------------------------------------------------
-@dataclass(frozen=True)
-class ScaleSettings:
-    """Settings of the weak prior on parameters from the size of a vehicle."""
-
-    # Standard deviation of the default prior, as a share of the largest value that counts as possible: 0.6
-    # for added mass in units of the inertia. Like a stated one it is widened by `StepSettings.prior_width`:
-    # what data determine moves by a hundredth of its standard error or less.
-    deviation: float = 0.06
-
-
-SCALES = ScaleSettings()
 _LIMITS = Limits()
 
 

@@ -17,7 +17,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
 from .data import WeakData
-from .pointwise import SCALES, Cut
+from .pointwise import Cut
 from .residual import Linearised, WeakModel, base_name
 
 
@@ -28,6 +28,10 @@ class StepSettings:
     # Standard deviations of a stated prior that it is widened by: it holds what the data leave open, and at
     # five it does not bias what they determine.
     prior_width: float = 5.0
+    # Standard deviation of the default prior, as a share of the largest value that counts as possible: 0.6
+    # for added mass in units of the inertia. It is widened likewise: what data determine moves by a hundredth
+    # of its standard error or less.
+    default_deviation: float = 0.06
     # Times its own size, its starts, or one SI unit, that a parameter which is not linear moves in one step.
     largest_step: float = 10.0
     # The same as a share of the distance of its bounds: a tether may come from far away.
@@ -137,7 +141,7 @@ def search_prior(model: WeakModel) -> tuple[Array, Array]:
 
 def default_weights(model: WeakModel) -> Array:
     """Weight of the default prior of every free parameter; zero where one is stated, or none follows."""
-    deviation = PRIOR_WIDTH * SCALES.deviation * model.largest
+    deviation = PRIOR_WIDTH * SETTINGS.default_deviation * model.largest
     return np.where(prior_of(model)[1] > 0.0, 0.0, 1.0 / deviation)
 
 
