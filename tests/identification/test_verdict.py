@@ -8,7 +8,7 @@ import pytest
 
 from undertow.identification import result_builder
 from undertow.identification.diagnosis.evidence import Comparison, FoundEffect
-from undertow.identification.diagnosis.result import Indistinguishable, how_sure
+from undertow.identification.diagnosis.result import Indistinguishable, Ranked
 from undertow.identification.diagnosis.settings import DEFAULT
 
 # Private: by its input each of these rules would take a search of its own.
@@ -95,7 +95,8 @@ def test_a_chosen_effect_has_one_error_and_the_values_that_are_handed_on() -> No
 def test_an_effect_with_which_the_error_rises_helps_in_part_at_the_most(
     significant: bool, before: float, after: float, sure: str
 ) -> None:
-    assert how_sure(significant, before, after) == sure
+    candidate = Ranked.model_construct(significant=significant, error_before=before, error_after=after)
+    assert candidate.sure == sure
 
 
 def test_no_share_below_zero_is_reported() -> None:

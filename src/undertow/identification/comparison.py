@@ -22,7 +22,7 @@ from undertow.typing import Array, Flags, Index, Progress
 from undertow.version import __version__
 
 from .doctor.examine import refuse_impossible
-from .estimation.data import Segment, WeakData, prepare
+from .estimation.data import Segment, WeakData, measured_pose, prepare
 from .estimation.inputs import ActuatorStates, Memory
 from .estimation.pointwise import Pointwise
 from .estimation.predictor import Predictor, predict_each
@@ -425,9 +425,9 @@ class Profile:
     count: Index  # (bins,) test functions in each bin
 
 
-def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -> list[Profile]:
+def profiles(forces: Forces, vehicle: Vehicle, pose: tuple[str, ...]) -> list[Profile]:
     """Residual force of every degree of freedom against every variable that varies."""
-    known = list(_variables(forces, vehicle, measured_pose))
+    known = list(_variables(forces, vehicle, pose))
     return [
         _profile(dof, name, unit, forces.missing[:, i], value)
         for i, dof in enumerate(vehicle.degrees_of_freedom)
@@ -437,12 +437,12 @@ def profiles(forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]) -
 
 
 def _variables(
-    forces: Forces, vehicle: Vehicle, measured_pose: tuple[str, ...]
+    forces: Forces, vehicle: Vehicle, measured: tuple[str, ...]
 ) -> Iterator[tuple[str, str, Array]]:
     for i, name in enumerate(vehicle.velocity_names):
         yield name, UNITS[name], forces.velocity[:, i]
     for i, name in enumerate(vehicle.pose_names):
-        if name in measured_pose and name not in ("x", "y"):
+        if name in measured and name not in ("x", "y"):
             pose = forces.pose[:, i]
             yield name, UNITS[name], _principal(pose) if UNITS[name] == "rad" else pose
     for i, name in enumerate(vehicle.command_names):
@@ -507,7 +507,7 @@ class Comparison:
     @property
     def measured_pose(self) -> tuple[str, ...]:
         """Names of the pose coordinates that all logs have."""
-        return _measured_pose(self.vehicle, self.ahead.windows.runs)
+        return measured_pose(self.vehicle, self.ahead.windows.runs)
 
 
 def compare(
@@ -539,7 +539,7 @@ def compare(
     ahead = predict_each(vehicles, cut(runs, vehicle, horizon), predictor)
     free_run = predict_each(vehicles, cut(runs, vehicle, None), predictor)
     progress(0.9, "error map")
-    pose = _measured_pose(vehicle, runs)
+    pose = measured_pose(vehicle, runs)
     found = regimes(forces, vehicle, data.sigma)
     rows = range(len(vehicle.dof_indices))
     cells = [_cell(forces, vehicle, i, r) for i in rows for r in found]
@@ -574,11 +574,7 @@ def supplied(vehicle: Vehicle, better: Vehicle, runs: Sequence[Run]) -> list[Pro
     lacking = residual_forces(vehicle, rest)
     left = residual_forces(Functions(better), rest, prepare(rest, better), vehicles)
     difference = replace(lacking, missing=lacking.missing - left.missing)
-    return profiles(difference, vehicle, _measured_pose(vehicle, rest))
-
-
-def _measured_pose(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[str, ...]:
-    return tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
+    return profiles(difference, vehicle, measured_pose(vehicle, rest))
 
 
 def _compared(run: Run) -> ComparedRun:

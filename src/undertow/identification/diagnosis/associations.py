@@ -212,10 +212,8 @@ class Trajectory:
 
 def is_factor(text: str) -> bool:
     """Whether a text is a factor."""
-    return bool(WAVE.fullmatch(text) or STEP.fullmatch(text)) or text in ("t", *POSE[:3]) or _is_motion(text)
-
-
-def _is_motion(text: str) -> bool:
+    if WAVE.fullmatch(text) or STEP.fullmatch(text) or text in ("t", *POSE[:3]):
+        return True
     return without_bars(text) in VELOCITY or command_of(text) is not None
 
 

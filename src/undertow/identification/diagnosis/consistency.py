@@ -78,7 +78,7 @@ def sizes_by_part(finding: FoundEffect, bench: Bench) -> list[SizeByPart]:
     before = np.concatenate([r for r, _ in pairs])
     block = _unique_numbers([data.block for _, data in pairs])
     kinds = {
-        "runs": _unique_numbers([_run_of_row(data) for _, data in pairs]),
+        "runs": _unique_numbers([data.run_of for _, data in pairs]),
         "parts of a run": np.concatenate([_part_of_run(data, bench.settings) for _, data in pairs]),
     }
     kinds |= {
@@ -135,10 +135,6 @@ def _unique_numbers(parts: Sequence[Index]) -> Index:
 def _by_row(data: WeakData, values: Sequence[Array]) -> Array:
     """Values at the test functions of every segment as values of the rows."""
     return np.concatenate([np.repeat(v, len(data.rows)) for v in values])
-
-
-def _run_of_row(data: WeakData) -> Index:
-    return _by_row(data, [np.full(s.functions.count, s.run) for s in data.segments]).astype(np.intp)
 
 
 def _part_of_run(data: WeakData, settings: Settings) -> Index:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from undertow.identification.estimation.data import Segment, WeakData
+from undertow.identification.estimation.data import Segment, WeakData, measured_pose
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.inputs import without_gaps
 from undertow.identification.estimation.step import search_prior
@@ -30,7 +30,6 @@ from undertow.typing import Array, Flags, Index
 from .associations import WAVE, Clock, Column, Trajectory, command_of, terms_of, without_bars
 from .force_rows import ForceRow, ForceRows, sliding_sums, weak_integrals
 from .parallel import one_thread
-from .residual import measured_pose
 from .result import Predictability
 
 
@@ -175,7 +174,7 @@ class _Signals:
     def common(cls, logs: Sequence[_Log], variables: Sequence[str] | None) -> _Signals:
         """Columns of what all logs have."""
         further = [n for n in logs[0].further if all(n in log.further for log in logs)]
-        pose = measured_pose(logs[1].rows.data)
+        pose = measured_pose(logs[1].vehicle, logs[1].rows.data.runs)
         terms = [c for t in terms_of(logs[0].vehicle, pose) for c in t.columns if c and "t" not in c]
         lagged = [_lagged(n, log) for n in logs[0].rows.data.commands for log in logs[0].lags]
         through_water = [

@@ -73,17 +73,13 @@ class PredictionGain:
     def suffices(self, least: float) -> bool:
         """Whether long predictions improve by enough to matter, and none become worse."""
         enough = max(self.largest[h] for h in long_horizons(self.falls)) >= least
-        return enough and not self.worse and not self._raised(least) and not self._may_be_chance
+        by_chance = self.better[0] < self.better[1]
+        return enough and not self.worse and not self._raised(least) and not by_chance
 
     def _raised(self, least: float) -> list[float]:
         """Horizons over which the error rises: over the shortest one by enough to matter."""
         long = long_horizons(self.falls)
         return [h for h, fall in sorted(self.falls.items()) if fall < (0.0 if h in long else -least)]
-
-    @property
-    def _may_be_chance(self) -> bool:
-        """Whether predictions may have improved by chance."""
-        return self.better[0] < self.better[1]
 
     def shortfall(self, least: float) -> str:
         """Why it does not improve predictions enough, in words; empty if it does."""

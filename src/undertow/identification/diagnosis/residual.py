@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from undertow.identification.estimation.data import WeakData
+from undertow.identification.estimation.data import WeakData, measured_pose
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.step import prior_of, squared
-from undertow.model.symbols import DOFS, FORCE_UNITS, POSE, VELOCITY
+from undertow.model.symbols import DOFS, FORCE_UNITS, VELOCITY
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
@@ -61,11 +61,6 @@ class DescriptionSettings:
 
 
 SETTINGS = DescriptionSettings()
-
-
-def measured_pose(data: WeakData) -> tuple[str, ...]:
-    """Pose channels that all runs have."""
-    return tuple(n for n in data.names if n in POSE and all(r.has(n) for r in data.runs))
 
 
 @dataclass
@@ -359,7 +354,8 @@ class Characteriser:
         self._units = [FORCE_UNITS[i] for i in vehicle.dof_indices]
         self._fitted, self._validation = ForceRows(fit, known), ForceRows(fit, validation)
         self._steps = step_terms(self._clocks[0].t)
-        self._terms = (*_without_inputs(terms_of(vehicle, measured_pose(validation)), vehicle), *self._steps)
+        terms = terms_of(vehicle, measured_pose(vehicle, validation.runs))
+        self._terms = (*_without_inputs(terms, vehicle), *self._steps)
         self._prior = prior_of(fit.model)[1]
 
     @cached_property

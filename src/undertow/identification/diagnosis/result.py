@@ -117,8 +117,8 @@ class Ranked(ResultTable):
 
     @property
     def sure(self) -> str:
-        """Whether the candidate certainly reduces the error, see `how_sure`."""
-        return how_sure(self.significant, self.error_before, self.error_after)
+        """ "yes" or "no", or "in part" if the effect is significant but the error does not fall."""
+        return "no" if not self.significant else "yes" if self.error_after < self.error_before else IN_PART
 
     @property
     def share_of_error(self) -> float:
@@ -153,11 +153,6 @@ def explanations(shown: Sequence[Ranked], false_alarms: float) -> list[str]:
         NO_MEANS: small,
     }
     return [words for words, needed in meanings.items() if needed]
-
-
-def how_sure(significant: bool, before: float, after: float) -> str:
-    """ "yes" or "no", or "in part" if an effect is significant but the error does not fall."""
-    return "no" if not significant else "yes" if after < before else IN_PART
 
 
 class Step(ResultTable):

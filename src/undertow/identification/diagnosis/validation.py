@@ -251,13 +251,9 @@ class SimulationValidator:
         # In a log with a low sampling rate, windows that have more samples than the start.
         if horizon < shortest_horizon(self.test):
             horizon = shortest_horizon(self.test, HORIZONS.fewest_samples)
-        length = min(horizon, self.shortest)
-        return cut(self.test, self._vehicle, length, sigma=self.sigma, skip=self._unscored_start)
-
-    @property
-    def _unscored_start(self) -> float:
         # A lag can fit commands before the log, since its initial state is free; a dead time cannot.
-        return min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
+        skip = min(self.settings.unknown_past, self.settings.unknown_share * self.shortest)
+        return cut(self.test, self._vehicle, min(horizon, self.shortest), sigma=self.sigma, skip=skip)
 
     def cached(self, key: str, fit: F, work: Callable[[F], T]) -> T:
         """What some work makes of a fit, done once; the fit is kept, since its identity is the key."""

@@ -330,12 +330,12 @@ def estimate(fit: Fitted, name: str, stated: Vehicle) -> Estimate:
     """One free parameter of a fit; `stated` is the vehicle as the user gave it."""
     vehicle = fit.model.functions.vehicle
     parameter = vehicle.declaration(base_name(name))
-    prior = stated.values.get(base_name(name))
+    prior, error = stated.values.get(base_name(name)), fit.standard_errors[name]
     return Estimate(
         name=name,
         effect=_effect_of(vehicle, parameter.name),
         value=printed(parameter, fit.values[name], stated.signs),
-        standard_error=_determined(fit.standard_errors[name]),
+        standard_error=error if error < UNDETERMINED else None,
         unit=parameter.shown_unit,
         about=parameter.about,
         prior=None if prior is None else printed(parameter, prior.value, stated.signs),
@@ -365,11 +365,6 @@ def _by_run(table: BetweenRuns, parameter: Parameter, stated: Vehicle) -> Values
 
 def _effect_of(vehicle: Vehicle, name: str) -> str:
     return next(e.id for e in vehicle.all_effects if any(p.name == name for p in e.parameters))
-
-
-def _determined(standard_error: float) -> float | None:
-    """A standard error, unless the data carry no information on the parameter."""
-    return standard_error if standard_error < UNDETERMINED else None
 
 
 def changed_values(stated: Vehicle, fit: Fitted, freed: Mapping[str, Sequence[str]]) -> str:

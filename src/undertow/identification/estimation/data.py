@@ -477,6 +477,11 @@ def blocks_of_time(since: Array, seconds: float, *piece: Index | Array) -> Index
     return group_numbers(*piece, since // seconds)
 
 
+def measured_pose(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Pose channels of a vehicle that all runs have."""
+    return tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
+
+
 def prepare(
     runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
 ) -> WeakData:
@@ -487,16 +492,14 @@ def prepare(
     names = (*vehicle.pose_names, *vehicle.velocity_names)
     for run in runs:
         _require_channels(run, [*vehicle.velocity_names, *vehicle.command_names], vehicle.name)
-    measured_pose = tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
-    segments = [
-        s for i, run in enumerate(runs) for s in _segments(i, run, names, measured_pose, vehicle, family)
-    ]
+    pose = measured_pose(vehicle, runs)
+    segments = [s for i, run in enumerate(runs) for s in _segments(i, run, names, pose, vehicle, family)]
     if not segments:
-        channels = [*measured_pose, *vehicle.velocity_names, *vehicle.command_names]
+        channels = [*pose, *vehicle.velocity_names, *vehicle.command_names]
         raise UndertowError(_too_short(runs, channels, family))
     derived = any(r.derived for r in runs)
     size = len(vehicle.dof_indices)
-    kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in measured_pose]
+    kinematic = [] if derived else [size + i for i, n in enumerate(vehicle.pose_names) if n in pose]
     noise = _floored(channel_noise(runs, names), runs, names) if sigma is None else sigma
     return WeakData(
         tuple(runs), tuple(segments), noise, (*range(size), *kinematic), names, vehicle.command_names

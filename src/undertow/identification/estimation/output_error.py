@@ -178,7 +178,11 @@ class Descent:
                 break
             dispersion = found
             self._set_weights(dispersion)
-            state = self._coarse_minimum(state.p, state.starts)
+            # Until the residual, and hence the weights, hardly change.
+            state = self._minimised(
+                self._at(state.p, state.starts),
+                lambda at: max(_negligible_fall(at), SETTINGS.rough_fall * at.cost),
+            )
             self._scale_priors(state, dispersion)
         state = self._minimised(state, _negligible_fall)
         return OutputErrorFit(
@@ -250,12 +254,6 @@ class Descent:
     def minimise(self, p: Array, starts: Array) -> State:
         """Minimise from these parameters and starts, with the weights as they are."""
         return self._minimised(self._at(p, starts), _negligible_fall)
-
-    def _coarse_minimum(self, p: Array, starts: Array) -> State:
-        """The same until the residual, and hence the weights, hardly change."""
-        return self._minimised(
-            self._at(p, starts), lambda at: max(_negligible_fall(at), SETTINGS.rough_fall * at.cost)
-        )
 
     def _at(self, p: Array, starts: Array) -> State:
         state = State(p, starts, self._shooting.linearise(p, starts), SETTINGS.damping)
