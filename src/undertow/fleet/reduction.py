@@ -21,9 +21,9 @@ from undertow.identification.estimation.residual import Linearised, WeakModel, w
 from undertow.identification.estimation.test_functions import Whitening
 from undertow.identification.estimation.weak_form import (
     fit_under_noise,
-    free_parameters,
     initial_disturbance,
     matched_disturbance,
+    required_free_parameters,
     with_process_noise,
 )
 from undertow.identification.logs.chunks import long_logs
@@ -52,12 +52,7 @@ class Panel:
 
     def __init__(self, vehicle: Vehicle, known: Catalogue, daily: Sequence[str] = DAILY) -> None:
         self.vehicle = vehicle
-        self.free = free_parameters(vehicle)
-        if not self.free:
-            raise UndertowError(
-                f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
-                "X_u = { value = ..., estimate = true }"
-            )
+        self.free = required_free_parameters(vehicle)
         simple = {name: effect for name, effect in known.items() if _has_a_score(effect)}
         scored = candidates(vehicle, simple)
         _refuse_unknown(daily, known, scored)

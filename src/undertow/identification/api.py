@@ -31,7 +31,14 @@ from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
 from .estimation.step import UNDETERMINED, Constraints, read_equalities, require_equations, written_equalities
 from .estimation.test_functions import boxes, test_functions
-from .estimation.weak_form import adapted, fit_instrumental, fit_weak_by_run, free_parameters, in_runs
+from .estimation.weak_form import (
+    adapted,
+    fit_instrumental,
+    fit_weak_by_run,
+    free_parameters,
+    in_runs,
+    required_free_parameters,
+)
 from .estimation.windows import Prediction, cut, horizons, possible_horizon, prediction_error
 from .logs.chunks import long_logs
 from .logs.formats.fieldlog import format_of
@@ -398,11 +405,7 @@ def fit(
     constraints = Constraints(read_equalities(equal, vehicle), dissipative)
     estimator = Estimator(_method(method), horizon, constraints, loss)
     vehicle, runs, validation = normalised(vehicle, runs, validation)
-    if not free_parameters(vehicle):
-        raise UndertowError(
-            f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
-            "X_u = { value = ..., estimate = true }"
-        )
+    required_free_parameters(vehicle)
     train, test = training_and_validation(vehicle, runs, validation, trust_log=trust_log)
     report(0.0, "fitting")
     # Whole logs have been looked at: what is left of them without the validation data need not be.

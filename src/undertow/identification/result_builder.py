@@ -363,19 +363,9 @@ class ResultBuilder:
         return [*first, *steps]
 
     def _step(self, added: list[str], fit: Fitted, squares: Array, freed: Sequence[str] = ()) -> Step:
-        ahead, position = self.validator.ahead(fit)
-        prediction, channels = self.validator.prediction(fit)
         simulation = float(np.sqrt(np.mean(squares)))
-        return Step(
-            added=added,
-            error=self._error(fit),
-            prediction=prediction,
-            channels=channels,
-            simulation=simulation if math.isfinite(simulation) else None,
-            ahead=ahead,
-            position=position,
-            freed=list(freed),
-        )
+        more = {"simulation": simulation if math.isfinite(simulation) else None, "freed": list(freed)}
+        return self.validator.step(added, fit, self._error(fit)).model_copy(update=more)
 
     def _ordered_candidates(self) -> list[FoundEffect]:
         """The chosen effects in the order found, and the others added to the model as given.

@@ -235,16 +235,7 @@ def best_predicting(setup: AdditionSetup, fits: Sequence[WeakFit]) -> tuple[Weak
 
 def _step(setup: AdditionSetup, added: list[str], model: Fitted | Vehicle, noise: list[Whitening]) -> Step:
     """Errors of a model on the validation data; `noise` is that of the channels alone."""
-    ahead, position = setup.validator.ahead(model)
-    prediction, channels = setup.validator.prediction(model)
-    return Step(
-        added=added,
-        error=_force_error(model, setup.bench.test, noise),
-        prediction=prediction,
-        channels=channels,
-        ahead=ahead,
-        position=position,
-    )
+    return setup.validator.step(added, model, _force_error(model, setup.bench.test, noise))
 
 
 def force_errors(

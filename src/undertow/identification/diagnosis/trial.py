@@ -122,7 +122,7 @@ def without_redundant(candidate: Candidate, bench: Bench) -> Candidate:
     parts = [i for i, p in enumerate(candidate.parameters) if not p.alone]
     if not parts:
         return candidate
-    own = whitened(_candidate_columns(candidate, bench, {}, bench.train), bench.train_whitening).J[:, parts]
+    own = _candidate_columns(candidate, bench, {}).J[:, parts]
     J = bench.base.at.J
     rest = own - J @ np.linalg.lstsq(J, own, rcond=None)[0]
     redundant = np.linalg.norm(rest, axis=0) <= _REDUNDANT * np.linalg.norm(own, axis=0)
@@ -306,9 +306,7 @@ def best_start(
     return min(fits, key=lambda fit: fit.cost if np.isfinite(fit.cost) else np.inf).values
 
 
-def _candidate_columns(
-    candidate: Candidate, bench: Bench, start: Mapping[str, float], data: WeakData
-) -> list[Linearised]:
+def _candidate_columns(candidate: Candidate, bench: Bench, start: Mapping[str, float]) -> Linearised:
     """The model with a candidate at a start, linearised in the candidate's own parameters only."""
     base = bench.base.model.values
     by_run = {n: bench.base.values[n] for n in base.split} | base.known
@@ -316,7 +314,8 @@ def _candidate_columns(
     names = model.functions.parameter_names
     stated = {n: model.functions.vehicle.value_of(n).value for n in names}
     values = stated | bench.base.values | dict(start)
-    return model.linearise(data, np.array([values[n] for n in names]))
+    parts = model.linearise(bench.train, np.array([values[n] for n in names]))
+    return whitened(parts, bench.train_whitening)
 
 
 def _best_starts(
@@ -330,7 +329,7 @@ def _best_starts(
     bounds, prior, reach = bounds_of(model), search_prior(model), step_limits(model)
     costs = []
     for start in starts:
-        at = whitened(_candidate_columns(candidate, bench, start, bench.train), bench.train_whitening)
+        at = _candidate_columns(candidate, bench, start)
         joint = Linearised(at.r, np.hstack([bench.base.at.J, at.J]), at.start)
         values = bench.base.values | start
         stated = model.functions.vehicle.value_of

@@ -48,6 +48,7 @@ from undertow.typing import Array
 from .bench import only_noise
 from .evidence import EffectSet
 from .parallel import mapped
+from .result import Step
 from .settings import DEFAULT, Settings
 
 
@@ -305,11 +306,15 @@ class SimulationValidator:
             n: found[h].position for h, n in names.items()
         }
 
-    def prediction(self, model: Fitted | Vehicle) -> tuple[float, dict[str, float | None]]:
-        """The same over the short windows that decide, and that of each velocity; None if it diverges."""
+    def step(self, added: list[str], model: Fitted | Vehicle, error: float) -> Step:
+        """A model with these effects and this error of the weak form, with the errors of its predictions."""
+        ahead, position = self.ahead(model)
         (short,) = self._predicted(model, [self.windows])
-        parts = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
-        return float(prediction_error(short)), parts
+        channels = {n: float(e) if np.isfinite(e) else None for n, e in short.relative.items()}
+        prediction = float(prediction_error(short))
+        return Step(
+            added=added, error=error, prediction=prediction, channels=channels, ahead=ahead, position=position
+        )
 
     def _predicted(self, model: Fitted | Vehicle, windows: Sequence[Windows]) -> Iterator[Prediction]:
         """Predictions by the model as given in each validation run."""

@@ -156,6 +156,16 @@ def free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(n for n in vehicle.parameter_names if vehicle.value_of(n).estimate)
 
 
+def required_free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
+    """The same; an UndertowError if there are none."""
+    if free := free_parameters(vehicle):
+        return free
+    raise UndertowError(
+        f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
+        "X_u = { value = ..., estimate = true }"
+    )
+
+
 def fit_weak(
     vehicle: Vehicle | WeakModel,
     data: WeakData,

@@ -18,7 +18,7 @@ from undertow.identification.estimation.fitted import undetermined
 from undertow.identification.estimation.residual import Linearised, WeakModel, whitened
 from undertow.identification.estimation.step import bounded_step, bounds_of, search_prior, squared
 from undertow.identification.estimation.test_functions import Whitening
-from undertow.identification.estimation.weak_form import free_parameters
+from undertow.identification.estimation.weak_form import required_free_parameters
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.parameter import printed
@@ -206,12 +206,7 @@ def plan_parameters(
     """
     refuse_impossible(vehicle, runs, trust_log=trust_log)
     request = request or PlanRequest()
-    free = free_parameters(vehicle)
-    if not free:
-        raise UndertowError(
-            f"no parameter of '{vehicle.name}' is marked for estimation: write, for instance, "
-            "X_u = { value = ..., estimate = true }"
-        )
+    free = required_free_parameters(vehicle)
     for name in only:
         if name not in free:
             raise UndertowError(

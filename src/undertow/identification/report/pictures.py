@@ -344,17 +344,23 @@ def decimated(t: Array, values: Array, buckets: int = SETTINGS.buckets) -> tuple
 
 def residual_against(curves: Sequence[ResidualCurve], names: tuple[str, str] = ("before", "after")) -> Figure:
     """Mean residual force in bins of the variables, with the 95% interval of every mean."""
-    columns = min(3, max(len(curves), 1))
-    rows = -(-max(len(curves), 1) // columns)
     with look():
-        picture, axes = figure(0.7 + 2.1 * rows, rows, columns)
-        for axis, curve in zip(axes.ravel(), curves, strict=False):
+        picture, axes = _panels(len(curves), 2.1, 0.7)
+        for axis, curve in zip(axes, curves, strict=False):
             _draw_curve(axis, curve, names)
-        for axis in axes.ravel()[len(curves) :]:
-            axis.set_visible(False)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
+        handles, labels = axes[0].get_legend_handles_labels()
         picture.legend(handles, labels, loc="outside upper left", ncols=2)
     return picture
+
+
+def _panels(count: int, height: float, more: float = 0.0) -> tuple[Figure, Any]:
+    """A figure with so many panels of a height, three in a row, and its axes; `more` height for a legend."""
+    columns = min(3, max(count, 1))
+    rows = -(-max(count, 1) // columns)
+    picture, axes = figure(more + height * rows, rows, columns)
+    for axis in axes.ravel()[count:]:
+        axis.set_visible(False)
+    return picture, axes.ravel()
 
 
 def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None:
@@ -372,12 +378,10 @@ def _draw_curve(axis: Any, curve: ResidualCurve, names: tuple[str, str]) -> None
 
 def force_budget(budgets: Sequence[Budget]) -> Figure:
     """Root mean square of every effect's share, one panel for each degree of freedom."""
-    columns = min(3, max(len(budgets), 1))
-    rows = -(-max(len(budgets), 1) // columns)
     longest = max((len(b.shares) for b in budgets), default=1)
     with look():
-        picture, axes = figure(rows * (0.8 + 0.26 * longest), rows, columns)
-        for axis, budget in zip(axes.ravel(), budgets, strict=False):
+        picture, axes = _panels(len(budgets), 0.8 + 0.26 * longest)
+        for axis, budget in zip(axes, budgets, strict=False):
             shares = sorted(budget.shares.items(), key=lambda item: item[1])
             colours = [BEFORE if name == _UNEXPLAINED else AFTER for name, _ in shares]
             scale, unit = in_powers(max(budget.shares.values(), default=0.0), budget.unit)
@@ -385,8 +389,6 @@ def force_budget(budgets: Sequence[Budget]) -> Figure:
             axis.set_xlabel(with_unit(f"{budget.degree_of_freedom}, rms", unit))
             axis.locator_params(axis="x", nbins=4)
             axis.grid(axis="x")
-        for axis in axes.ravel()[len(budgets) :]:
-            axis.set_visible(False)
     return picture
 
 
