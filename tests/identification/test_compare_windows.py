@@ -30,7 +30,7 @@ from undertow.identification.estimation.windows import (
     time_constants,
 )
 from undertow.identification.logs.run import Run
-from undertow.model.vehicle import Vehicle
+from undertow.model.vehicle import Thruster, Vehicle
 
 CLOCK = np.arange(0.0, 20.0, 0.05)
 SIGMA = 0.01
@@ -161,11 +161,6 @@ def test_the_true_model_predicts_a_log_without_noise(horizon: float | None) -> N
     assert prediction.fit["u"] == pytest.approx(100.0, abs=1e-3)
 
 
-def test_compiled_code_and_virtual_machine_agree() -> None:
-    a, b = (predict(_true_surge(), [surge_run(0.02)], compiled=c) for c in (None, False))
-    np.testing.assert_allclose(a.predicted, b.predicted, atol=1e-12)
-
-
 def test_five_per_cent_off_is_reported_as_five_per_cent() -> None:
     prediction = predict(_true_surge(), [surge_run()], None)
     off = np.nan_to_num(prediction.windows.measured * 1.05)
@@ -189,23 +184,13 @@ def test_a_simulation_that_diverges_is_counted_and_infinite() -> None:
     assert prediction_error(prediction) == np.inf
 
 
-def test_a_dead_time_acts_on_the_commands() -> None:
-    run = surge_run()
-    thruster = {"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}
-    late = Run("late", run.t, {"u": run.channels["u"], "f1": np.roll(run.channels["tau_X"], -2)})
-    vehicle = _with_thruster(thruster)
-    delayed = with_effect(vehicle, "actuation_delay", delay=0.4)
-    assert predict(delayed, [late], None).rms["u"] < 1e-6
-    assert predict(vehicle, [late], None).rms["u"] > 1e-3
-
-
-@pytest.mark.parametrize("delay", [0.004, 0.0125, 0.03, 0.05, 0.18])
+@pytest.mark.parametrize("delay", [0.0125, 0.05, 0.18])
 def test_a_dead_time_that_is_no_multiple_of_a_sample_is_simulated_exactly(delay: float) -> None:
     """Against the same model without it, its command switched on a clock of half a millisecond."""
     rng = np.random.default_rng(1)
     t, fine = np.arange(200) * 0.05, np.arange(199 * 100 + 1) * 0.0005
     u = np.repeat(rng.uniform(-3, 3, 100), 2)[:, None]
-    vehicle = _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]})
+    vehicle = _with_thruster()
     plain, late = Predictor(vehicle), Predictor(with_effect(vehicle, "actuation_delay", delay=delay))
     arrived = u[np.maximum(np.floor((fine - delay) / 0.05 + 1e-9).astype(int), 0)]
     x = plain.simulator.run(np.zeros(2), fine, arrived, plain.values)[::100]
@@ -229,7 +214,7 @@ def test_late_commands_arrive_between_samples_that_are_not_regular() -> None:
     t = np.array([0.0, 0.1, 0.15, 0.4, 0.5, 0.62])
     u = np.arange(6.0)[:, None]
     run = Run("run", t, {"x": t, "u": t, "f1": u[:, 0]})
-    windows = cut([run], _with_thruster({"name": "f1", "wrench": [1, 0, 0, 0, 0, 0]}), None)
+    windows = cut([run], _with_thruster(), None)
     drive = delayed_commands(windows, 0.1)
     np.testing.assert_allclose(drive.t[0], [0, 0.1, 0.15, 0.2, 0.25, 0.4, 0.5, 0.6, 0.62])
     np.testing.assert_allclose(drive.held[0, :, 0], [0, 0, 0, 1, 2, 2, 3, 4, 4])
@@ -250,12 +235,9 @@ def test_no_window_covers_what_is_skipped() -> None:
         cut([surge_run()], surge_vehicle(), 5.0, skip=1e3)
 
 
-def _with_thruster(thruster: dict[str, object]) -> Vehicle:
-    from undertow.model.vehicle import Thruster
-
-    vehicle = _true_surge()
-    wrench = tuple(map(float, thruster["wrench"]))  # type: ignore[arg-type]
-    return replace(vehicle, force_channels=(), thrusters=(Thruster(str(thruster["name"]), wrench),))
+def _with_thruster() -> Vehicle:
+    ahead = Thruster("f1", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    return replace(_true_surge(), force_channels=(), thrusters=(ahead,))
 
 
 # --- states that nobody measures --------------------------------------------------------------------------

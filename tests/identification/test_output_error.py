@@ -71,13 +71,6 @@ def test_errors_at_two_per_cent_noise_are_near_the_bound() -> None:
         np.testing.assert_allclose(rmse, reference, rtol=0.35)
 
 
-@pytest.mark.slow
-def test_claimed_errors_are_the_ones_that_are_made() -> None:
-    fits = [fit_output_error(surge_vehicle(), [surge_run(0.02, 100 + s)], horizon=None) for s in range(12)]
-    claimed = np.median([list(f.standard_errors.values()) for f in fits], axis=0)
-    np.testing.assert_allclose(100 * claimed / SIZES, CRAMER_RAO, rtol=0.15)
-
-
 def test_what_the_experiment_cannot_show_is_said() -> None:
     fit = fit_output_error(surge_vehicle(), [surge_run(0.1, 3)], horizon=None)
     said = remarks(fit, surge_vehicle())
@@ -142,14 +135,6 @@ def test_several_runs_are_fitted_jointly() -> None:
     both = fit_output_error(surge_vehicle(), [surge_run(0.02, 1), surge_run(0.02, 2)], horizon=None)
     ratio = [both.standard_errors[n] / one.standard_errors[n] for n in TRUTH]
     np.testing.assert_allclose(ratio, np.sqrt(0.5), rtol=0.25)
-
-
-def test_compiled_code_and_virtual_machine_agree() -> None:
-    fits = [
-        fit_output_error(surge_vehicle(), [surge_run(0.02, 5)], compiled=compiled).values
-        for compiled in (None, False)
-    ]
-    assert fits[0] == pytest.approx(fits[1], rel=1e-9)
 
 
 def test_a_physical_bound_holds() -> None:

@@ -128,6 +128,10 @@ def _gain(fall: float) -> PredictionGain:
     return PredictionGain({1.0: fall, 5.0: fall}, {1.0: fall, 5.0: fall}, ())
 
 
+def _graded(chosen: str, *rivals: str, doubt: str = "") -> Graded:
+    return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
+
+
 def test_an_effect_may_raise_the_error_of_the_shortest_simulations_by_less_than_matters() -> None:
     """Sensor noise alone moves that error a little; one that rises from 48 to 66% is no improvement."""
     largest = {4.0: 0.0, 8.0: 0.2, 16.0: 0.1}
@@ -166,23 +170,15 @@ def test_an_alternative_takes_over_what_an_effect_gains() -> None:
 @pytest.mark.parametrize(("doubt", "left"), [("", ["drag"]), ("varies", ["buoyancy", "force", "drag"])])
 def test_what_is_needed_beside_an_effect_is_no_rival_of_it(doubt: str, left: list[str]) -> None:
     """Nor is what stands for that; what is in doubt may still be the other explanation."""
-
-    def graded(chosen: str, *rivals: str, doubt: str = "") -> Graded:
-        return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
-
-    angle = graded("angle", "buoyancy", "force", "drag")
-    first, second = without_rivals_found_later([angle, graded("buoyancy", "force", doubt=doubt)])
+    angle = _graded("angle", "buoyancy", "force", "drag")
+    first, second = without_rivals_found_later([angle, _graded("buoyancy", "force", doubt=doubt)])
     assert [r.id for r in first.rivals] == left
     assert [r.id for r in second.rivals] == ["force"]
 
 
 def test_an_effect_that_is_found_in_two_parts_is_one() -> None:
     """What does as well in place of its second part only is no rival of the whole."""
-
-    def graded(chosen: str, *rivals: str, doubt: str = "") -> Graded:
-        return Graded(_effect(chosen), [_effect(r) for r in rivals], _gain(0.2), doubt)
-
-    parts = [graded("munk", "lift", doubt="varies"), graded("mass"), graded("munk", "lift", "drag")]
+    parts = [_graded("munk", "lift", doubt="varies"), _graded("mass"), _graded("munk", "lift", "drag")]
     whole, mass = merged(parts)
     assert (whole.chosen.id, mass.chosen.id) == ("munk", "mass")
     assert whole.chosen is parts[2].chosen
@@ -428,8 +424,7 @@ def test_sensors_are_compared_by_the_pose_and_forces_by_the_velocities() -> None
 
 
 def test_effects_in_doubt_come_after_the_others() -> None:
-    graded = [Graded(_effect(n), [], _gain(0.2), d) for n, d in (("force", "varies"), ("bias", ""))]
-    selection = Selection(graded, [], {}, {})
+    selection = Selection([_graded("force", doubt="varies"), _graded("bias")], [], {}, {})
     assert [g.chosen.id for g in selection.established] == ["bias"]
     assert [g.chosen.id for g in selection.established_first.graded] == ["bias", "force"]
 

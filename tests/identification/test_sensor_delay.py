@@ -231,34 +231,6 @@ def test_a_complete_model_gains_nothing_by_a_delay(seed: int) -> None:
     assert late.standard_errors["velocity_delay"] < 0.01
 
 
-@pytest.mark.slow
-def test_standard_errors_are_what_repeated_noise_gives() -> None:
-    case = usv(seed=4, duration=30.0)
-    quiet = runs_of(usv(seed=4, duration=30.0, noise=0.0))[:1]
-    rng = np.random.default_rng(9)
-    sigma = {"x": 0.02, "y": 0.02, "psi": 0.003, "u": 0.01, "v": 0.01, "r": 0.002}
-    found, claimed = [], []
-    for _ in range(8):
-        noisy = [
-            delayed(
-                replace(
-                    r,
-                    channels={
-                        n: x + sigma.get(n, 0) * rng.standard_normal(len(x)) for n, x in r.channels.items()
-                    },
-                ),
-                LATE,
-            )
-            for r in quiet
-        ]
-        model = late_by(case, 0.1)
-        fit = fit_weak(model, prepare(noisy, model))
-        found.append(fit.values["velocity_delay"])
-        claimed.append(fit.standard_errors["velocity_delay"])
-    assert 0.5 < np.std(found, ddof=1) / np.mean(claimed) < 1.6
-    assert np.mean(found) == pytest.approx(LATE, abs=np.mean(claimed))
-
-
 # --- predictions ------------------------------------------------------------------------------------------
 def test_late_reports_of_a_known_signal() -> None:
     t = np.tile(np.arange(0.0, 5.0, 0.05), (2, 1))
