@@ -14,6 +14,7 @@ import sympy as sm
 from benchmarks.hidden_effects import make_case
 from benchmarks.hidden_effects.files import toml_text
 from tests.cli.bad import Undertow
+from tests.identification.logs_of import prepared, runs_of
 from undertow.identification.diagnosis.bench import noise_ratio, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.residual import remaining
@@ -26,8 +27,6 @@ from undertow.identification.diagnosis.result import (
     Spectrum,
 )
 from undertow.identification.diagnosis.trial import screen, try_candidate
-from undertow.identification.estimation.data import prepare
-from undertow.identification.logs.run import Run
 from undertow.identification.report.scaffold import effect_file, suggested
 from undertow.model.catalogue import catalogue, load_effects
 from undertow.model.contract import check_effect
@@ -96,9 +95,8 @@ def test_a_suggestion_takes_the_error_away(undertow: Undertow, tmp_path: Path) -
     case = make_case("usv", ("turning_drag", "periodic_side_force"), 1, duration=50.0)
     (tmp_path / "usv.toml").write_text(toml_text(case.vehicle))
     vehicle = load_vehicle(tmp_path / "usv.toml")
-    runs = [Run(n, c["t"], {k: v for k, v in c.items() if k != "t"}) for n, c in case.runs.items()]
-    train = prepare(runs[:3], vehicle)
-    bench = open_bench(vehicle, train, prepare(runs[3:], vehicle, sigma=train.sigma))
+    runs = runs_of(case)
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:3], runs[3:]))
     left = remaining(bench.base, bench.train, bench.test)
     (tmp_path / "found.json").write_text(_diagnosis(*left).model_dump_json())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +11,7 @@ import numpy as np
 
 import undertow as ut
 from benchmarks.hidden_effects import Case
+from undertow.identification.estimation.data import WeakData, prepare
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, vehicle_from_table
@@ -44,6 +45,12 @@ def true_vehicle(case: Case) -> Vehicle:
     vehicle = vehicle_of(case)
     true = {n: v for n, v in case.truth["parameters"].items() if n in vehicle.values}
     return vehicle.with_values({n: replace(vehicle.value_of(n), value=v) for n, v in true.items()})
+
+
+def prepared(vehicle: Vehicle, runs: Sequence[Run], aside: Sequence[Run]) -> tuple[WeakData, WeakData]:
+    """Runs to fit and runs kept aside, both with the noise of the first."""
+    data = prepare(runs, vehicle)
+    return data, prepare(aside, vehicle, sigma=data.sigma)
 
 
 def with_effect(vehicle: Vehicle, effect: str, **values: float) -> Vehicle:

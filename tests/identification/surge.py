@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.identification.profile import INTERVAL, MASS, TRUTH
 from benchmarks.identification.profile import vehicle as surge_vehicle
 from undertow.identification.logs.run import Run
+from undertow.model.vehicle import Vehicle
 
-__all__ = ["INTERVAL", "MASS", "M_X", "TRUTH", "surge_run", "surge_vehicle"]
+__all__ = ["INTERVAL", "MASS", "M_X", "TRUTH", "surge_run", "surge_vehicle", "true_surge"]
 
 M_X = MASS + TRUTH["X_udot"]
+
+
+def true_surge() -> Vehicle:
+    """The surge model with the true values of its parameters."""
+    vehicle = surge_vehicle()
+    return vehicle.with_values({n: replace(vehicle.value_of(n), value=-v) for n, v in TRUTH.items()})
 
 
 def surge_run(noise: float = 0.0, seed: int = 0) -> Run:

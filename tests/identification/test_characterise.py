@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects import make_case
+from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.registry import ALL, EFFECTS, Draw, HiddenEffect
 from benchmarks.hidden_effects.world import World
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.associations import (
     SETTINGS,
@@ -33,26 +34,20 @@ from undertow.identification.diagnosis.force_rows import ForceRows, sliding_sums
 from undertow.identification.diagnosis.residual import effect_on_motion, remaining, sentence, unrelated_to
 from undertow.identification.diagnosis.result import BetweenRuns, Dependence, Remaining, Spectrum
 from undertow.identification.diagnosis.splitting import split_into_pieces
-from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
-from undertow.model.catalogue import catalogue
-from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
+from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Vehicle
 
 HEADING, COMMANDS = ("turning_drag", "heading_force"), ("thruster_interference", "periodic_side_force")
 
 
 @cache
-def _simulated(
-    effects: tuple[str, ...], seed: int, of: str = "usv"
-) -> tuple[dict[str, dict[str, float]], Vehicle, list[Run]]:
-    """A vehicle with something that its model lacks: what was drawn, the model, and four runs of 60 s."""
-    case = make_case(of, effects, seed, duration=60.0)
-    vehicle = vehicle_from_table(VehicleTable.model_validate(case.vehicle), catalogue())
-    columns = [(n, dict(c)) for n, c in case.runs.items()]
-    return case.truth["values"], vehicle, [Run(n, c.pop("t"), c, source=n) for n, c in columns]
+def _simulated(effects: tuple[str, ...], seed: int, of: str = "usv") -> Case:
+    """A vehicle with something that its model lacks, in four runs of 60 s."""
+    return make_case(of, effects, seed, duration=60.0)
 
 
 @cache
@@ -60,13 +55,14 @@ def _fitted(
     effects: tuple[str, ...], seed: int, of: str = "usv"
 ) -> tuple[dict[str, dict[str, float]], WeakFit, WeakData]:
     """What was drawn, the model refitted to three of the runs, and the fourth."""
-    values, vehicle, runs = _simulated(effects, seed, of)
-    return values, *_refitted(vehicle, runs[:3], runs[3:])
+    case = _simulated(effects, seed, of)
+    runs = runs_of(case)
+    return case.truth["values"], *_refitted(vehicle_of(case), runs[:3], runs[3:])
 
 
 def _refitted(vehicle: Vehicle, runs: list[Run], aside: list[Run]) -> tuple[WeakFit, WeakData]:
-    train = prepare(runs, vehicle)
-    return fit_weak(vehicle, train), prepare(aside, vehicle, sigma=train.sigma)
+    data, kept = prepared(vehicle, runs, aside)
+    return fit_weak(vehicle, data), kept
 
 
 @cache
@@ -550,7 +546,8 @@ def _turning(fit: WeakFit, aside: WeakData) -> Dependence:
 
 @pytest.mark.slow
 def test_velocities_from_pose() -> None:
-    _, vehicle, runs = _simulated(HEADING, 1)
+    case = _simulated(HEADING, 1)
+    vehicle, runs = vehicle_of(case), runs_of(case)
     kept = ("x", "y", "psi", *vehicle.command_names)
     poses = [replace(r, channels={n: r.channels[n] for n in kept}) for r in runs]
     derived = [velocities_from_pose(r, vehicle.degrees_of_freedom) for r in poses]
@@ -558,8 +555,11 @@ def test_velocities_from_pose() -> None:
 
 
 def test_stretches_kept_aside() -> None:
-    _, vehicle, runs = _simulated(HEADING, 1)
-    assert _turning(*_refitted(vehicle, *split_into_pieces(runs))).term == "sin and cos of 2 psi"
+    case = _simulated(HEADING, 1)
+    assert (
+        _turning(*_refitted(vehicle_of(case), *split_into_pieces(runs_of(case)))).term
+        == "sin and cos of 2 psi"
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])

@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.control.test_certificates import loaded
+from tests.identification.logs_of import prepared
 from tests.identification.test_evidence import NO_EVIDENCE
 from tests.quick import first_quick
 from undertow.identification.diagnosis.bench import Bench, open_bench
@@ -23,7 +24,6 @@ from undertow.identification.diagnosis.grading import feedback_doubt
 from undertow.identification.diagnosis.prediction_gain import PredictionGain
 from undertow.identification.diagnosis.trial import try_candidate
 from undertow.identification.doctor.dynamics import dynamics_of, reversed_commands
-from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.prediction_error import AutoregressiveNoise
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -83,8 +83,7 @@ def _candidate(
 ) -> tuple[FoundEffect, Bench]:
     """An effect fitted to half of the runs, from this value."""
     vehicle, runs = loaded(VEHICLE), [_run(seed, dead, held=held, seconds=seconds) for seed in range(4)]
-    train = prepare(runs[:2], vehicle)
-    bench = open_bench(vehicle, train, prepare(runs[2:], vehicle, sigma=train.sigma))
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:2], runs[2:]))
     candidate = Candidate(catalogue()[effect], vehicle)
     start = bench.base.values | {p.name: value for p in candidate.parameters}
     return FoundEffect(try_candidate(candidate, bench, start), *NO_EVIDENCE), bench

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
-from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from tests.identification.surge import TRUTH, surge_run, surge_vehicle, true_surge
 from undertow.identification.comparison import (
     Cell,
     Comparison,
@@ -34,7 +34,6 @@ from undertow.identification.report.page import (
     leading,
     traces,
 )
-from undertow.model.vehicle import Vehicle
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +52,6 @@ def lacking() -> Comparison:
     return compare(true_vehicle(case), runs_of(case))
 
 
-def _true_surge() -> Vehicle:
-    vehicle = surge_vehicle()
-    return vehicle.with_values({n: replace(vehicle.value_of(n), value=-v) for n, v in TRUTH.items()})
-
-
 def _sigma(forces: Forces, case: Case) -> np.ndarray:
     vehicle = vehicle_of(case)
     return channel_noise(runs_of(case), (*vehicle.pose_names, *vehicle.velocity_names))
@@ -70,7 +64,7 @@ def test_a_force_that_the_log_leaves_out_is_the_residual_force() -> None:
     run = surge_run()
     missing = 0.1 * np.sin(0.5 * run.t)
     reported = replace(run, channels={**run.channels, "tau_X": run.channels["tau_X"] - missing})
-    forces = residual_forces(_true_surge(), [reported])
+    forces = residual_forces(true_surge(), [reported])
     np.testing.assert_allclose(forces.missing[:, 0], 0.1 * np.sin(0.5 * forces.t), atol=0.012)
 
 
@@ -90,7 +84,7 @@ def test_forces_of_the_effects_and_the_residual_add_up_to_nothing(complete: Comp
 
 
 def test_noise_of_the_force_grows_with_the_noise_of_the_channels() -> None:
-    spread = [residual_forces(_true_surge(), [surge_run(level, 1)]).noise.mean() for level in (0.01, 0.04)]
+    spread = [residual_forces(true_surge(), [surge_run(level, 1)]).noise.mean() for level in (0.01, 0.04)]
     assert spread[1] / spread[0] == pytest.approx(4.0, rel=0.25)
 
 
@@ -156,7 +150,7 @@ def test_a_reversal_is_near_a_change_of_sign(complete: Comparison, case: Case) -
 def test_start_up_and_coasting_are_told_by_the_commands() -> None:
     run = surge_run(0.01)
     silent = np.where((run.t > 10) & (run.t < 20), 0.0, np.abs(run.channels["tau_X"]) + 0.1)
-    forces = residual_forces(_true_surge(), [replace(run, channels={**run.channels, "tau_X": silent})])
+    forces = residual_forces(true_surge(), [replace(run, channels={**run.channels, "tau_X": silent})])
     found = {r.name: r.inside[:, 0] for r in regimes(forces, surge_vehicle(), np.array([0.0, 0.01]))}
     coasting, starting = forces.t[found["coasting"]], forces.t[found["start-up"]]
     assert coasting.min() > 10
@@ -212,7 +206,7 @@ def test_the_result_survives_json(lacking: Comparison) -> None:
 
 
 def test_numbers_that_do_not_exist_are_null() -> None:
-    vehicle = _true_surge()
+    vehicle = true_surge()
     wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4)})
     result = compare(wild, [surge_run(0.02)]).result
     assert result.diverged == 1
@@ -221,7 +215,7 @@ def test_numbers_that_do_not_exist_are_null() -> None:
 
 
 def test_a_short_log_is_predicted_over_half_of_it() -> None:
-    result = compare(_true_surge(), [surge_run(0.02).slice(0.0, 8.0)]).result
+    result = compare(true_surge(), [surge_run(0.02).slice(0.0, 8.0)]).result
     assert result.horizon == pytest.approx(4.0)
     assert result.windows == 2
 
@@ -230,7 +224,7 @@ def test_a_short_log_is_predicted_over_half_of_it() -> None:
 
 
 def test_a_variable_that_tells_comes_first() -> None:
-    vehicle = _true_surge()
+    vehicle = true_surge()
     without = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=0.0)})
     forces = residual_forces(without, [surge_run(0.01, s) for s in range(3)])
     found = sorted(profiles(forces, without, ()), key=informativeness, reverse=True)
@@ -276,7 +270,7 @@ def test_a_free_run_across_gaps_is_called_pieces() -> None:
     rows = np.ones(len(whole.t), dtype=bool)
     rows[[*range(40, 60), *range(90, 110)]] = False
     broken = replace(whole, t=whole.t[rows], channels={n: v[rows] for n, v in whole.channels.items()})
-    one, three = (traces(compare(_true_surge(), [run]), free=True)[0].caption for run in (whole, broken))
+    one, three = (traces(compare(true_surge(), [run]), free=True)[0].caption for run in (whole, broken))
     assert one == "simulated without any correction"
     assert three.startswith("simulated without any correction between gaps, in 3 pieces")
 

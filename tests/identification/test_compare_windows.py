@@ -10,7 +10,7 @@ import pytest
 import undertow as ut
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of, with_effect
-from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle, true_surge
 from undertow.codegen.functions import Functions
 from undertow.codegen.simulate import LONGEST_STEP
 from undertow.errors import UndertowError
@@ -34,11 +34,6 @@ from undertow.model.vehicle import Thruster, Vehicle
 
 CLOCK = np.arange(0.0, 20.0, 0.05)
 SIGMA = 0.01
-
-
-def _true_surge() -> Vehicle:
-    vehicle = surge_vehicle()
-    return vehicle.with_values({n: replace(vehicle.value_of(n), value=-v) for n, v in TRUTH.items()})
 
 
 def _noise(seed: int = 0) -> np.ndarray:
@@ -140,7 +135,7 @@ def test_a_gap_is_not_crossed() -> None:
     inside = windows.samples[windows.inside]
     assert not set(range(60, 70)) & set(inside.tolist())
     assert set(windows.segment.tolist()) == {0, 70}
-    assert np.isfinite(predict(_true_surge(), windows).predicted).any()
+    assert np.isfinite(predict(true_surge(), windows).predicted).any()
 
 
 def test_a_log_shorter_than_the_horizon_is_refused_with_its_length() -> None:
@@ -155,14 +150,14 @@ def test_a_log_shorter_than_the_horizon_is_refused_with_its_length() -> None:
 
 @pytest.mark.parametrize("horizon", [1.0, 5.0, 20.0, None])
 def test_the_true_model_predicts_a_log_without_noise(horizon: float | None) -> None:
-    prediction = predict(_true_surge(), [surge_run()], horizon)
+    prediction = predict(true_surge(), [surge_run()], horizon)
     assert prediction.rms["u"] < 1e-7
     assert prediction_error(prediction) < 1e-6
     assert prediction.fit["u"] == pytest.approx(100.0, abs=1e-3)
 
 
 def test_five_per_cent_off_is_reported_as_five_per_cent() -> None:
-    prediction = predict(_true_surge(), [surge_run()], None)
+    prediction = predict(true_surge(), [surge_run()], None)
     off = np.nan_to_num(prediction.windows.measured * 1.05)
     reported = replace(prediction, predicted=off)
     assert prediction_error(reported) == pytest.approx(0.05, rel=1e-9)
@@ -177,7 +172,7 @@ def test_noise_alone_gives_an_error_of_the_noise() -> None:
 
 
 def test_a_simulation_that_diverges_is_counted_and_infinite() -> None:
-    vehicle = _true_surge()
+    vehicle = true_surge()
     wild = vehicle.with_values({"X_uabsu": replace(vehicle.value_of("X_uabsu"), value=5e4)})
     prediction = predict(wild, [surge_run(0.02)], None)
     assert prediction.diverged == 1
@@ -237,7 +232,7 @@ def test_no_window_covers_what_is_skipped() -> None:
 
 def _with_thruster() -> Vehicle:
     ahead = Thruster("f1", (1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    return replace(_true_surge(), force_channels=(), thrusters=(ahead,))
+    return replace(true_surge(), force_channels=(), thrusters=(ahead,))
 
 
 # --- states that nobody measures --------------------------------------------------------------------------
@@ -367,8 +362,8 @@ def test_time_constant_is_inertia_over_the_damping_at_the_speeds_seen() -> None:
     run = surge_run()
     speed = float(np.mean(np.abs(run.channels["u"])))
     expected = M_X / (TRUTH["X_u"] + 2.0 * TRUTH["X_uabsu"] * speed)
-    stated = _true_surge().value_of("X_udot").value
-    assert time_constants(_true_surge(), [run]) == pytest.approx([expected], rel=0.02)
+    stated = true_surge().value_of("X_udot").value
+    assert time_constants(true_surge(), [run]) == pytest.approx([expected], rel=0.02)
     assert stated == pytest.approx(-TRUTH["X_udot"])
 
 

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.identification.logs_of import prepared
 from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import compare_scores
 from undertow.identification.diagnosis.trial import screen, try_candidate
 from undertow.identification.diagnosis.verdict import ImprovedModel, compensation_warnings
-from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
@@ -80,8 +80,7 @@ def _descent(seed: int) -> Run:
 @cache
 def _bench() -> Bench:
     vehicle = _float()
-    train = prepare([_descent(1), _descent(2)], vehicle)
-    return open_bench(vehicle, train, prepare([_descent(3)], vehicle, sigma=train.sigma))
+    return open_bench(vehicle, *prepared(vehicle, [_descent(1), _descent(2)], [_descent(3)]))
 
 
 def _relief(effect: str) -> tuple[ImprovedModel, float]:

@@ -12,7 +12,7 @@ import sympy as sm
 
 import undertow as ut
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Bench, error_falls, open_bench
@@ -21,7 +21,6 @@ from undertow.identification.diagnosis.evidence import FoundEffect, reconciles_s
 from undertow.identification.diagnosis.residual import remaining, unrelated_to
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.validation import SimulationValidator
-from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.identification.report.scaffold import effect_of
 from undertow.identification.result_builder import contradiction
@@ -60,10 +59,9 @@ class _Tried(NamedTuple):
 def _tried(hidden: tuple[str, ...], effect: str, of: str = "usv") -> _Tried:
     case = make_case(of, hidden, 5, duration=50.0)
     given, runs = vehicle_of(case), runs_of(case)
-    train = prepare(runs[:3], given)
-    bench = open_bench(given, train, prepare(runs[3:], given, sigma=train.sigma))
+    bench = open_bench(given, *prepared(given, runs[:3], runs[3:]))
     found = try_all(bench, {effect: catalogue()[effect]}, lambda done, words: None)
-    validator = SimulationValidator(given, runs[:3], runs[3:], train.sigma)
+    validator = SimulationValidator(given, runs[:3], runs[3:], bench.train.sigma)
     return _Tried(found.findings[0], found.bench, validator)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case, write_case
+from tests.identification.logs_of import prepared
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
@@ -216,8 +217,7 @@ def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> N
 @pytest.mark.slow
 def test_the_width_of_a_friction_that_is_not_there_goes_with_it(tmp_path: Path) -> None:
     _, model, runs = _loaded(tmp_path, "usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
-    train = prepare(runs[:3], model)
-    bench = open_bench(model, train, prepare(runs[3:], model, sigma=train.sigma))
+    bench = open_bench(model, *prepared(model, runs[:3], runs[3:]))
     found = try_candidate(Candidate(catalogue()["dry_friction"], model), bench, {"friction_rate": 0.01})
     assert "friction_speed" in found.fit.model.free
     assert ("friction_rate" in found.fit.model.free) is ("N_signr" in found.kept)

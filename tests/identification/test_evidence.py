@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnosis.bench import Bench, comparable_mean_squares, open_bench
@@ -128,8 +128,7 @@ def test_falls_of_blocks_left_out_are_those_of_models_fitted_to_all_others() -> 
 def _minutes_of_a_usv() -> tuple[WeakData, WeakData]:
     case = make_case("usv", (), 21, duration=100.0)
     model, runs = vehicle_of(case), runs_of(case)
-    train = prepare(runs[:3], model)
-    return train, prepare(runs[3:], model, sigma=train.sigma)
+    return prepared(model, runs[:3], runs[3:])
 
 
 def _wandering(data: WeakData, memory: float, rng: np.random.Generator, columns: int) -> np.ndarray:
@@ -253,8 +252,7 @@ def test_an_effect_beside_another_has_to_improve_predictions_by_enough_to_matter
         "box", ("quadratic_damping", "constant_force"), 7, strength=strength, noise=0.3, duration=50
     )
     runs, vehicle = runs_of(case), vehicle_of(case)
-    train = prepare(runs[:3], vehicle)
-    test = prepare(runs[3:], vehicle, sigma=train.sigma)
+    train, test = prepared(vehicle, runs[:3], runs[3:])
     known = {name: catalogue()[name] for name in ("quadratic_damping", "constant_force")}
     found = search(vehicle, train, test, known, residual_is_noise=lambda fit, data: False)
     assert [f.id for f in found.winners] == ["quadratic_damping", "constant_force"]
@@ -280,15 +278,14 @@ def test_water_in_the_hull_acts_like_added_mass_that_is_wrong_by_as_much_in_surg
     # Both stated 6 kg too small, and said to be known well.
     stated = {n: replace(model.value_of(n), value=v + 6.0, sigma=0.5) for n, v in true.items()}
     off = model.with_values(stated)
-    train = prepare(runs[:3], off)
-    bench = open_bench(off, train, prepare(runs[3:], off, sigma=train.sigma))
+    bench = open_bench(off, *prepared(off, runs[:3], runs[3:]))
     assert set(moved_parameters(off, bench.base)) == {"X_udot", "Y_vdot"}
     tried = [Candidate(catalogue()[n], off) for n in ("entrained_water", "dry_friction", "lift")]
     (found,) = equivalents(off, bench, tried)
     assert found.effects == ["entrained_water"]
     assert found.parameters == ["X_udot", "Y_vdot"]
     assert "determine X_udot and Y_vdot by other means" in found.separated_by
-    right = open_bench(model, train, bench.test)
+    right = open_bench(model, bench.train, bench.test)
     assert equivalents(model, right, tried) == []
 
 
@@ -301,8 +298,7 @@ def test_water_in_the_hull_is_said_where_added_masses_are_only_guessed() -> None
     case = make_case("mini-auv", (), 21, duration=60.0)
     model, runs = replace(vehicle_of(case), follows={}), runs_of(case)
     dry = model.with_values({"m": replace(model.value_of("m"), value=0.67 * model.value_of("m").value)})
-    train = prepare(runs[:3], dry)
-    bench = open_bench(dry, train, prepare(runs[3:], dry, sigma=train.sigma))
+    bench = open_bench(dry, *prepared(dry, runs[:3], runs[3:]))
     assert {"X_udot", "Y_vdot", "Z_wdot"} <= set(moved_parameters(dry, bench.base))
     listed = ("entrained_water", "dry_friction", "lift", "constant_force", "thruster_lag")
     (found,) = equivalents(dry, bench, [Candidate(catalogue()[n], dry) for n in listed])
@@ -363,8 +359,7 @@ def test_without_a_pose_beside_it_no_velocity_is_blamed_for_its_scale() -> None:
 def test_an_unknown_first_state_wins_nothing_on_kept_aside_data() -> None:
     case = make_case("usv", (), 23, duration=40.0)
     model, runs = vehicle_of(case), runs_of(case)
-    train = prepare(runs[:3], model)
-    bench = open_bench(model, train, prepare(runs[3:], model, sigma=train.sigma))
+    bench = open_bench(model, *prepared(model, runs[:3], runs[3:]))
     memory = Candidate(catalogue()["radiation_memory"], model)
     # As slow as a log is long: its unknown first state could pass for a constant force.
     slow = bench.fit(memory.model(()), start={"T_memory": 40.0, "X_memu": -20.0, "N_memr": -5.0})
@@ -452,8 +447,7 @@ def test_an_effect_leaves_with_the_one_whose_parameters_it_shares() -> None:
     case = make_case("box", ("radiation_memory",), 21, duration=40.0)
     model, runs = vehicle_of(case), runs_of(case)
     bare = replace(model, effects=tuple(e for e in model.effects if e.id not in _INERTIA))
-    train = prepare(runs[:3], bare)
-    bench = open_bench(bare, train, prepare(runs[3:], bare, sigma=train.sigma))
+    bench = open_bench(bare, *prepared(bare, runs[:3], runs[3:]))
 
     def found(name: str, on: Bench) -> FoundEffect:
         candidate = Candidate(catalogue()[name], on.base.model.functions.vehicle)

@@ -11,14 +11,13 @@ import pytest
 
 import undertow as ut
 from benchmarks.hidden_effects import Case, make_case
-from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, true_vehicle, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.diagnose import DiagnosisResult, diagnose
 from undertow.identification.diagnosis.bench import Bench, open_bench
 from undertow.identification.diagnosis.rounds import Round, other_values, try_all
 from undertow.identification.diagnosis.settings import Settings
-from undertow.identification.estimation.data import prepare
 from undertow.identification.report.page import render_report
 from undertow.model.catalogue import catalogue
 from undertow.model.vehicle import Vehicle
@@ -54,8 +53,7 @@ def _diagnosed(hidden: tuple[str, ...], factors: tuple[tuple[str, float], ...]) 
 def _bench(factors: dict[str, float]) -> Bench:
     case = _case()
     vehicle, runs = _fixed(case, factors), runs_of(case)
-    train = prepare(runs[:-1], vehicle)
-    return open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+    return open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
 
 
 @cache
@@ -139,8 +137,7 @@ def test_what_is_weighed_is_not_called_wrong() -> None:
     heavier = vehicle.with_values(
         {"m": replace(vehicle.value_of("m"), value=1.3 * vehicle.value_of("m").value)}
     )
-    train = prepare(runs[:-1], heavier)
-    assert other_values(open_bench(heavier, train, prepare(runs[-1:], heavier, sigma=train.sigma))) is None
+    assert other_values(open_bench(heavier, *prepared(heavier, runs[:-1], runs[-1:]))) is None
 
 
 @pytest.mark.parametrize(("rate", "enough"), [(0.005, False), (0.01, False), (0.05, True), (0.2, True)])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, noise_ratio, open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.evidence import EffectSet
@@ -22,7 +22,6 @@ from undertow.identification.diagnosis.validation import (
     significantly_worse_in_windows,
     worse_by_rank_test,
 )
-from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.weak_form import fit_weak
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
@@ -39,8 +38,7 @@ def _case() -> tuple[Vehicle, list[Run], dict[str, float]]:
 @cache
 def _bench() -> Bench:
     vehicle, runs, _ = _case()
-    train = prepare(runs[:-1], vehicle)
-    return open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+    return open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
 
 
 def test_a_part_that_thrust_per_command_stands_in_for_is_left_out() -> None:
@@ -49,8 +47,7 @@ def test_a_part_that_thrust_per_command_stands_in_for_is_left_out() -> None:
     scaled = [replace(t, thrust_per_command=Value(1.0, estimate=True)) for t in vehicle.thrusters]
     for known, redundant in ((True, ()), (False, ("curve_linear",))):
         model = vehicle if known else replace(vehicle, thrusters=tuple(scaled))
-        train = prepare(runs[:1], model)
-        bench = open_bench(model, train, prepare(runs[-1:], model, sigma=train.sigma))
+        bench = open_bench(model, *prepared(model, runs[:1], runs[-1:]))
         candidate = without_redundant(Candidate(catalogue()["thruster_curve"], model), bench)
         assert candidate.redundant == redundant
         assert {p.name for p in candidate.parameters} == {"curve_linear", "curve_square"} - {*redundant}
@@ -171,8 +168,7 @@ def test_a_boundary_in_a_small_part_of_a_wide_range_is_found() -> None:
         "catamaran", ("boundary_proximity",), 98222414, strength=9e-4, noise=0.3, closed_loop=True
     )
     vehicle, runs = vehicle_of(case), runs_of(case)
-    train = prepare(runs[:-1], vehicle)
-    bench = open_bench(vehicle, train, prepare(runs[-1:], vehicle, sigma=train.sigma))
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
     candidate = Candidate(catalogue()["boundary_proximity"], vehicle)
     found = try_candidate(candidate, bench, screen(candidate, bench)[0].values)
     away = found.fit.values["fade_0"] / found.fit.values["fade_E"]

@@ -10,17 +10,15 @@ import pytest
 import sympy as sm
 
 from benchmarks.hidden_effects import Case, make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.candidates import Candidate
 from undertow.identification.diagnosis.trial import Trial, best_start, screen, try_candidate
-from undertow.identification.estimation.data import WeakData, prepare
 from undertow.model.catalogue import catalogue
 from undertow.model.effect import Effect, Wrench
 from undertow.model.parameter import Parameter
 from undertow.model.symbols import Signals
-from undertow.model.vehicle import Vehicle
 
 # Seeds of the simulator for which all of the tether is out wherever the vehicle goes, none of it, and part.
 ALL, NONE, PART = 36, 1, 0
@@ -34,18 +32,12 @@ def _tried(seed: int) -> tuple[Trial, dict[str, float]]:
 
 def _of(effect: type[Effect], case: Case) -> Trial:
     """An effect fitted to a case, under the noise model of a first fit of it."""
-    vehicle = vehicle_of(case)
-    bench = open_bench(vehicle, *_parts(case, vehicle))
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
     candidate = Candidate(effect, vehicle)
     start = best_start(candidate, bench, [look.values for look in screen(candidate, bench)])
     first = try_candidate(candidate, bench, start)
     return try_candidate(candidate, bench.with_noise_model_of(first.full), first.full.values)
-
-
-def _parts(case: Case, vehicle: Vehicle) -> tuple[WeakData, WeakData]:
-    *shown, aside = runs_of(case)
-    train = prepare(shown, vehicle)
-    return train, prepare([aside], vehicle, sigma=train.sigma)
 
 
 @pytest.mark.slow
@@ -99,8 +91,8 @@ def test_a_width_that_cannot_be_zero_keeps_a_value_without_its_friction() -> Non
 def test_a_winch_is_found_on_its_side_of_the_motion() -> None:
     """In nearly level motion a winch as far below explains much: only fits from both sides tell."""
     case = make_case("micro-auv", ("tether_drag", "constant_force"), 89518168, closed_loop=True)
-    vehicle = vehicle_of(case)
-    bench = open_bench(vehicle, *_parts(case, vehicle))
+    vehicle, runs = vehicle_of(case), runs_of(case)
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
     candidate = Candidate(catalogue()["tether_drag"], vehicle)
     starts = [look.values for look in screen(candidate, bench)]
     heights = [bench.fit(candidate.model(), start=start).values["z_winch"] for start in starts]
@@ -115,8 +107,7 @@ def test_a_start_from_which_states_grow_without_bound_is_none() -> None:
     slow = [
         replace(r, t=r.t[::40], channels={n: c[::40] for n, c in r.channels.items()}) for r in runs_of(case)
     ]
-    train = prepare(slow[:-1], vehicle)
-    bench = open_bench(vehicle, train, prepare(slow[-1:], vehicle, sigma=train.sigma))
+    bench = open_bench(vehicle, *prepared(vehicle, slow[:-1], slow[-1:]))
     candidate = Candidate(catalogue()["thruster_lag"], vehicle)
     assert 0.1 in [p for start in candidate.starts(1.0, {}) for p in start.values()]
     found = screen(candidate, bench)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.identification.surge import INTERVAL, M_X, TRUTH, surge_vehicle
 from undertow.identification.diagnosis.bench import noise_in_more_equations
 from undertow.identification.diagnosis.floors import noise_floors, predictable_in_words
@@ -22,7 +22,7 @@ from undertow.identification.diagnosis.predictability import (
 from undertow.identification.diagnosis.result import Predictability
 from undertow.identification.diagnosis.settings import DEFAULT
 from undertow.identification.diagnosis.verdict import only_disturbance, without_damping
-from undertow.identification.estimation.data import WeakData, prepare
+from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.weak_form import WeakFit, fit_weak
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.run import Run
@@ -51,8 +51,8 @@ def surge_run(seed: int, rms: float, memory: float, duration: float = 100.0) -> 
 
 
 def _split(vehicle: Vehicle, runs: list[Run]) -> tuple[WeakFit, WeakData]:
-    train = prepare(runs[:-1], vehicle)
-    return fit_weak(vehicle, train), prepare(runs[-1:], vehicle, sigma=train.sigma)
+    train, aside = prepared(vehicle, runs[:-1], runs[-1:])
+    return fit_weak(vehicle, train), aside
 
 
 @cache

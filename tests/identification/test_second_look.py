@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, vehicle_of
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from undertow.identification.diagnosis.bench import Bench, only_noise, open_bench
 from undertow.identification.diagnosis.evidence import (
     explains_all,
@@ -16,7 +16,6 @@ from undertow.identification.diagnosis.evidence import (
     slightly_above_noise,
 )
 from undertow.identification.diagnosis.search import search
-from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.residual import whitened
 from undertow.identification.estimation.weak_form import fit_weak, mean_square
 from undertow.model.catalogue import catalogue
@@ -30,9 +29,8 @@ def _bench() -> tuple[Vehicle, Bench, float]:
     """A profiling float 15 mN out of trim, which is what the drag of 7.6 N/(m/s) gives at 2 mm/s."""
     case = make_case("float", ("net_buoyancy",), 71149101, strength=0.15)
     vehicle, runs = vehicle_of(case), runs_of(case)
-    train = prepare(runs[:-1], vehicle)
-    test = prepare(runs[-1:], vehicle, sigma=train.sigma)
-    return vehicle, open_bench(vehicle, train, test), case.truth["values"]["net_buoyancy"]["B_net"]
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:-1], runs[-1:]))
+    return vehicle, bench, case.truth["values"]["net_buoyancy"]["B_net"]
 
 
 @pytest.mark.slow

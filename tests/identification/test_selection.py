@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tests.identification.logs_of import simulated_runs
+from tests.identification.logs_of import prepared, simulated_runs
 from tests.identification.surge import surge_run, surge_vehicle
 from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.candidates import Candidate, possible
@@ -435,11 +435,10 @@ def test_an_effect_whose_force_is_not_significant_may_improve_predictions_but_is
         known["constant_force"], {"X_0": Value(0.0), "Y_0": Value(0.2), "N_0": Value(0.0)}
     )
     runs = simulated_runs(pushed, 3, 50.0, seed=3, size=2.0, hold=40, noise=0.002, unlogged=0.01)
-    train = prepare(runs[:2], whole)
-    bench = open_bench(whole, train, prepare(runs[2:], whole, sigma=train.sigma))
+    bench = open_bench(whole, *prepared(whole, runs[:2], runs[2:]))
     current = try_all(bench, {"constant_force": known["constant_force"]}, lambda done, words: None)
     predictions = Predictions(
-        SimulationValidator(whole, runs[:2], runs[2:], train.sigma), lambda done, words: None
+        SimulationValidator(whole, runs[:2], runs[2:], bench.train.sigma), lambda done, words: None
     )
     found = Grading(current, [], predictions).best()
     assert found is not None

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import undertow as ut
 from benchmarks.real.cases import without
+from tests.identification.logs_of import prepared
 from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.consistency import size_inconsistency
 from undertow.identification.diagnosis.rounds import try_all
-from undertow.identification.estimation.data import prepare
 from undertow.model.catalogue import catalogue
 
 DATA = Path(ut.__file__).parent / "demo_data" / "cfd-surge"
@@ -24,8 +24,7 @@ def test_what_else_is_missing_moves_the_size_of_an_effect() -> None:
         ut.read_log(DATA / f"surge_{name}_coarse.csv.gz", mapping=DATA / "log.toml")
         for name in ("multistep", "step")
     )
-    train = prepare([multistep], vehicle)
-    bench = open_bench(vehicle, train, prepare([step], vehicle, sigma=train.sigma))
+    bench = open_bench(vehicle, *prepared(vehicle, [multistep], [step]))
     known = {name: catalogue()[name] for name in ("entrained_water", "ocean_current")}
     found = {f.id: f for f in try_all(bench, known, lambda done, words: None).findings}
     mass, current = found["entrained_water"], found["ocean_current"]

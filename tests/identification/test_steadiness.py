@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.identification.surge import TRUTH, surge_run, surge_vehicle
+from tests.identification.logs_of import prepared
+from tests.identification.surge import TRUTH, surge_run, true_surge
 from tests.quick import first_quick
 from undertow.identification.diagnosis.bench import open_bench
 from undertow.identification.diagnosis.consistency import (
@@ -18,7 +19,6 @@ from undertow.identification.diagnosis.consistency import (
 )
 from undertow.identification.diagnosis.rounds import try_all
 from undertow.identification.diagnosis.settings import DEFAULT
-from undertow.identification.estimation.data import prepare
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 
@@ -32,11 +32,9 @@ def _doubts(begin: float, seed: int) -> dict[str, str]:
         run = surge_run(0.01, number)
         logged = run.channels["tau_X"] - np.where(run.t >= begin, FORCE, 0.0)
         runs.append(Run("P", run.t, run.channels | {"tau_X": logged}, sha256=f"{number}"))
-    vehicle = surge_vehicle()
-    known = {n: replace(vehicle.value_of(n), value=-v, estimate=False) for n, v in TRUTH.items()}
-    vehicle = vehicle.with_values(known)
-    train = prepare(runs[:1], vehicle)
-    bench = open_bench(vehicle, train, prepare(runs[1:], vehicle, sigma=train.sigma))
+    vehicle = true_surge()
+    vehicle = vehicle.with_values({n: replace(vehicle.value_of(n), estimate=False) for n in TRUTH})
+    bench = open_bench(vehicle, *prepared(vehicle, runs[:1], runs[1:]))
     constant = {"constant_force": catalogue()["constant_force"]}
     current = try_all(bench.without_disturbance(), constant, lambda done, words: None)
     return {a.division: a.doubt(DEFAULT) for a in sizes_by_part(current.findings[0], current.bench)}

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects import make_case, write_case
+from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
@@ -25,20 +24,17 @@ from undertow.identification.estimation.weak_form import (
     free_parameters,
     with_process_noise,
 )
-from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
-from undertow.model.loading import load_vehicle
 from undertow.model.vehicle import Thruster, Value, Vehicle
 
 CLOCK = np.arange(0.0, 20.001, 0.05)
 
 
-def _case(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, duration: float, **options):
-    write_case(make_case(vehicle, effects, seed, duration=duration, **options), folder)
-    model = load_vehicle(folder / "vehicle.toml")
-    names = ("train_1", "train_2", "train_3", "holdout")
-    return model, [read_log(folder / f"{n}.csv", channels=model.command_names) for n in names]
+def _ship(seed: int, duration: float) -> tuple[Vehicle, list[Run]]:
+    """A surface vehicle from which nothing is hidden, and its runs."""
+    case = make_case("usv", (), seed, duration=duration)
+    return vehicle_of(case), runs_of(case)
 
 
 def test_integration_by_parts_is_exact_to_the_order_of_the_splines() -> None:
@@ -148,9 +144,8 @@ SHAPED = {
 
 
 @pytest.fixture(scope="module")
-def ship(tmp_path_factory: pytest.TempPathFactory) -> tuple[Vehicle, list[Run]]:
-    """A surface vehicle from which nothing is hidden, and its runs of 20 s."""
-    return _case(tmp_path_factory.mktemp("ship"), "usv", (), 5, 20.0)
+def ship() -> tuple[Vehicle, list[Run]]:
+    return _ship(5, 20.0)
 
 
 @pytest.mark.parametrize("effect", sorted(SHAPED))
@@ -193,14 +188,10 @@ def test_derivative_in_the_delay(delay: float, ship: tuple[Vehicle, list[Run]]) 
 
 
 @pytest.mark.parametrize(("vehicle", "seed"), first_quick([("usv", 3), ("mini-auv", 4)]))
-def test_a_complete_model_leaves_white_noise_and_true_parameters(
-    vehicle: str, seed: int, tmp_path: Path
-) -> None:
+def test_a_complete_model_leaves_white_noise_and_true_parameters(vehicle: str, seed: int) -> None:
     case = make_case(vehicle, (), seed, duration=60.0)
-    write_case(case, tmp_path)
-    model = load_vehicle(tmp_path / "vehicle.toml")
-    runs = [read_log(tmp_path / f"train_{i}.csv", channels=model.command_names) for i in (1, 2, 3)]
-    fit = fit_weak(model, prepare(runs, model))
+    model = vehicle_of(case)
+    fit = fit_weak(model, prepare(runs_of(case)[:3], model))
     np.testing.assert_allclose(fit.mean_square(), 1.0, atol=0.2)
     for name, value in fit.values.items():
         # Where the speed is near its noise (sway of the USV), |v|v of a noisy v is biased: a few
@@ -210,36 +201,29 @@ def test_a_complete_model_leaves_white_noise_and_true_parameters(
 
 
 @pytest.mark.slow
-def test_standard_errors_are_those_of_repeated_logs(tmp_path: Path) -> None:
+def test_standard_errors_are_those_of_repeated_logs() -> None:
     """Over many noise draws the estimates scatter as the fit says they do."""
-    model, runs = _case(tmp_path, "usv", (), 6, 40.0)
-    base = fit_weak(model, prepare(runs[:1], model))
+    model, (run, *_) = _ship(6, 40.0)
+    base = fit_weak(model, prepare([run], model))
     rng = np.random.default_rng(7)
+    sigma = {"x": 0.02, "y": 0.02, "psi": 0.003, "u": 0.01, "v": 0.01, "r": 0.002}
     scatter = []
     for _ in range(12):
-        noisy = [_with_more_noise(r, rng) for r in runs[:1]]
-        scatter.append(fit_weak(model, prepare(noisy, model)).values)
-    spread = np.std([s["X_udot"] for s in scatter], ddof=1)
+        more = {n: run.channels[n] + s * rng.standard_normal(len(run.t)) for n, s in sigma.items()}
+        noisy = replace(run, channels=run.channels | more)
+        scatter.append(fit_weak(model, prepare([noisy], model)).values["X_udot"])
     # Noise of the same size again is added, so the scatter is that of the original noise alone.
-    assert 0.4 < spread / base.standard_errors["X_udot"] < 2.0
+    assert 0.4 < np.std(scatter, ddof=1) / base.standard_errors["X_udot"] < 2.0
 
 
-def _with_more_noise(run, rng):
-
-    sigma = {"x": 0.02, "y": 0.02, "psi": 0.003, "u": 0.01, "v": 0.01, "r": 0.002}
-    channels = {n: d + sigma.get(n, 0.0) * rng.standard_normal(len(d)) for n, d in run.channels.items()}
-    return replace(run, channels=channels)
-
-
-def test_a_wrong_sign_is_not_fitted(tmp_path: Path) -> None:
-    model, runs = _case(tmp_path, "usv", (), 8, 30.0)
+def test_a_wrong_sign_is_not_fitted() -> None:
+    model, runs = _ship(8, 30.0)
     fit = fit_weak(model, prepare(runs[:1], model))
     assert all(fit.values[n] <= 0 for n in fit.values if n != "delay")
 
 
-def test_a_gap_in_the_commands_spoils_only_its_neighbourhood(tmp_path: Path) -> None:
-
-    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+def test_a_gap_in_the_commands_spoils_only_its_neighbourhood(ship: tuple[Vehicle, list[Run]]) -> None:
+    model, runs = ship
     model = model.with_effect(catalogue()["actuation_delay"], {"delay": Value(0.13, estimate=True)})
     commands = {
         n: np.where(np.abs(runs[0].t - 8.0) < 0.2, np.nan, runs[0].channels[n]) for n in ("f1", "f2", "f3")
@@ -300,8 +284,8 @@ def test_the_integral_form_is_as_good_as_the_weak_form() -> None:
     np.testing.assert_allclose(np.median(claimed, axis=0), rmse["integral"], rtol=0.4)
 
 
-def test_a_fit_ends_where_data_and_stated_priors_balance(tmp_path: Path) -> None:
-    model, runs = _case(tmp_path, "usv", (), 5, 20.0)
+def test_a_fit_ends_where_data_and_stated_priors_balance(ship: tuple[Vehicle, list[Run]]) -> None:
+    model, runs = ship
     tight = {
         n: Value(3.0 * model.value_of(n).value, estimate=True, sigma=1e-3) for n in ("X_u", "Y_v", "N_r")
     }
