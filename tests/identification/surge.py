@@ -8,10 +8,20 @@ import numpy as np
 
 from benchmarks.identification.profile import INTERVAL, MASS, TRUTH
 from benchmarks.identification.profile import vehicle as surge_vehicle
+from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 from undertow.model.vehicle import Vehicle
 
-__all__ = ["INTERVAL", "MASS", "M_X", "TRUTH", "surge_run", "surge_vehicle", "true_surge"]
+__all__ = [
+    "INTERVAL",
+    "MASS",
+    "M_X",
+    "TRUTH",
+    "surge_from_positions",
+    "surge_run",
+    "surge_vehicle",
+    "true_surge",
+]
 
 M_X = MASS + TRUTH["X_udot"]
 
@@ -32,6 +42,15 @@ def surge_run(noise: float = 0.0, seed: int = 0) -> Run:
     sigma = noise * float(np.sqrt(np.mean(u**2)))
     error = sigma * np.random.default_rng(seed).standard_normal(len(t))
     return Run("P", t, {"u": u + error, "tau_X": force}, sha256=f"{seed}")
+
+
+def surge_from_positions() -> Run:
+    """The run without noise in its velocity, which is now taken from a position with noise of 1 mm."""
+    clean = surge_run()
+    x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
+    noisy = x + 1e-3 * np.random.default_rng(2).standard_normal(len(x))
+    run = replace(clean, channels={"x": noisy, "tau_X": clean.channels["tau_X"]})
+    return velocities_from_pose(run, ["surge"])
 
 
 def _mean_force(t: np.ndarray) -> np.ndarray:

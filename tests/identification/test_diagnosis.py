@@ -6,43 +6,36 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects import make_case, write_case
-from tests.identification.logs_of import prepared
+from benchmarks.hidden_effects import make_case
+from tests.identification.logs_of import prepared, runs_of, vehicle_of
 from tests.quick import first_quick
 from undertow.errors import UndertowError
-from undertow.identification.diagnose import DiagnosisResult, diagnose
+from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.bench import Score, open_bench
 from undertow.identification.diagnosis.candidates import Candidate, candidates
 from undertow.identification.diagnosis.evidence import compare_scores, explained
 from undertow.identification.diagnosis.splitting import split_into_pieces
 from undertow.identification.diagnosis.trial import try_candidate
 from undertow.identification.estimation.data import prepare
-from undertow.identification.logs.reading import read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import Catalogue, catalogue
 from undertow.model.loading import load_vehicle
+from undertow.model.vehicle import Vehicle
 
 _FEW = {i: catalogue()[i] for i in ("lift", "constant_force", "thruster_lag")}
 _OF_A_BOX = {i: catalogue()[i] for i in ("quadratic_damping", "constant_force", "thruster_lag")}
 _DRAGS = {i: c for i, c in catalogue().items() if "damping" in i or "drag" in i} | _FEW
 
 
-def _loaded(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options):
+def _case(vehicle: str, effects: tuple[str, ...], seed: int, **options: Any) -> tuple[Vehicle, list[Run]]:
+    """The model that a user would start from, and four runs of the vehicle."""
     case = make_case(vehicle, effects, seed, **options)
-    write_case(case, folder)
-    model = load_vehicle(folder / "vehicle.toml")
-    names = ("train_1", "train_2", "train_3", "holdout")
-    return case, model, [read_log(folder / f"{n}.csv", channels=model.command_names) for n in names]
-
-
-def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, **options) -> DiagnosisResult:
-    _, model, runs = _loaded(folder, vehicle, effects, seed, **options)
-    return diagnose(model, runs[:3], runs[3:])
+    return vehicle_of(case), runs_of(case)
 
 
 @pytest.mark.parametrize(
@@ -56,9 +49,9 @@ def _diagnosed(folder: Path, vehicle: str, effects: tuple[str, ...], seed: int, 
     ],
 )
 def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
-    vehicle: str, effect: str, seed: int, known: Catalogue | None, tmp_path: Path
+    vehicle: str, effect: str, seed: int, known: Catalogue | None
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, (effect,), seed, duration=40.0)
+    model, runs = _case(vehicle, (effect,), seed, duration=40.0)
     outcome = diagnose(model, runs[:3], runs[3:], known=known)
     d = outcome.diagnosis
     named = {e for s in d.indistinguishable for e in s.effects} | set(d.effects)
@@ -84,9 +77,9 @@ def test_the_hidden_effect_is_named_and_the_error_falls_to_the_noise(
     ),
 )
 def test_nothing_is_named_where_nothing_is_missing(
-    vehicle: str, effects: tuple[str, ...], known: Catalogue | None, tmp_path: Path
+    vehicle: str, effects: tuple[str, ...], known: Catalogue | None
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, effects, 21, duration=40.0)
+    model, runs = _case(vehicle, effects, 21, duration=40.0)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict == "adequate"
     assert d.effects == []
@@ -94,8 +87,8 @@ def test_nothing_is_named_where_nothing_is_missing(
 
 
 @pytest.mark.slow
-def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("ocean_current", "thruster_lag"), 3, duration=30.0)
+def test_two_hidden_effects_are_both_named() -> None:
+    model, runs = _case("usv", ("ocean_current", "thruster_lag"), 3, duration=30.0)
     known = {i: catalogue()[i] for i in ("ocean_current", "thruster_lag", "constant_force")}
     d = diagnose(model, runs[:2], runs[3:], known=known).diagnosis
     assert set(d.effects) == {"ocean_current", "thruster_lag"}
@@ -108,9 +101,9 @@ def test_two_hidden_effects_are_both_named(tmp_path: Path) -> None:
     ids=["few", "few for a boat", "drags"],
 )
 def test_an_effect_that_no_catalogue_has_is_not_given_a_name(
-    vehicle: str, duration: float, known: Catalogue, tmp_path: Path
+    vehicle: str, duration: float, known: Catalogue
 ) -> None:
-    _, model, runs = _loaded(tmp_path, vehicle, ("growing_drag",), 31, duration=duration)
+    model, runs = _case(vehicle, ("growing_drag",), 31, duration=duration)
     d = diagnose(model, runs[:3], runs[3:], known=known).diagnosis
     assert d.verdict in ("unexplained", "helps_prediction")  # both name no cause
     assert d.effects == []
@@ -119,16 +112,16 @@ def test_an_effect_that_no_catalogue_has_is_not_given_a_name(
 
 
 @pytest.mark.slow
-def test_the_same_logs_give_the_same_answer(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=30.0)
+def test_the_same_logs_give_the_same_answer() -> None:
+    model, runs = _case("usv", ("lift",), 11, duration=30.0)
     first, second = (diagnose(model, runs[:2], runs[3:], known=_FEW).diagnosis for _ in range(2))
     drop = {"seconds"}
     assert first.model_dump(exclude=drop) == second.model_dump(exclude=drop)
 
 
 @pytest.mark.slow
-def test_blocks_are_kept_aside_where_no_run_is_given(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("lift",), 11, duration=60.0)
+def test_blocks_are_kept_aside_where_no_run_is_given() -> None:
+    model, runs = _case("usv", ("lift",), 11, duration=60.0)
     outcome = diagnose(model, runs[:3], known=_FEW)
     assert outcome.diagnosis.effects == ["lift"]
     assert {r.role for r in outcome.diagnosis.runs} == {"blocks"}
@@ -165,8 +158,8 @@ def test_a_run_too_short_to_be_cut_is_refused() -> None:
         split_into_pieces([Run("a", t, {"u": np.sin(t)})])
 
 
-def test_logs_in_which_nothing_moves_are_refused(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=5.0)
+def test_logs_in_which_nothing_moves_are_refused() -> None:
+    model, runs = _case("usv", (), 1, duration=5.0)
     rng = np.random.default_rng(0)
     still = [Run(r.name, r.t, {n: 0.01 * rng.standard_normal(len(r.t)) for n in r.channels}) for r in runs]
     with pytest.raises(UndertowError, match="nothing moves"):
@@ -215,8 +208,8 @@ def test_how_narrow_a_friction_is_has_to_be_found_unless_the_model_has_it() -> N
 
 
 @pytest.mark.slow
-def test_the_width_of_a_friction_that_is_not_there_goes_with_it(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
+def test_the_width_of_a_friction_that_is_not_there_goes_with_it() -> None:
+    model, runs = _case("usv", ("dry_friction",), 16977316, strength=0.4, noise=0.3)
     bench = open_bench(model, *prepared(model, runs[:3], runs[3:]))
     found = try_candidate(Candidate(catalogue()["dry_friction"], model), bench, {"friction_rate": 0.01})
     assert "friction_speed" in found.fit.model.free
@@ -228,8 +221,8 @@ def _score(r: np.ndarray, mean_square: float) -> Score:
     return Score(r, np.array([mean_square, np.nan]))
 
 
-def test_evidence_needs_a_consistent_fall(tmp_path: Path) -> None:
-    _, model, runs = _loaded(tmp_path, "usv", (), 1, duration=60.0)
+def test_evidence_needs_a_consistent_fall() -> None:
+    model, runs = _case("usv", (), 1, duration=60.0)
     data = prepare(runs[:1], model)
     rng = np.random.default_rng(3)
     r = rng.standard_normal(len(data.equation))

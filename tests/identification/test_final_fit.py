@@ -10,7 +10,7 @@ import pytest
 
 import undertow as ut
 from benchmarks.hidden_effects import make_case
-from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of, with_effect
+from tests.identification.logs_of import runs_of, simulated_runs, true_vehicle, vehicle_of
 from tests.identification.surge import M_X, MASS, TRUTH, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.functions import Functions
@@ -301,20 +301,6 @@ def test_a_slow_disturbance_moves_no_mass_far_from_what_is_stated() -> None:
     found = ut.fit(vehicle, runs[:2], validation=runs[3:]).vehicle.values
     apart = {n: abs(found[n].value - v.value) / (0.1 * abs(v.value)) for n, v in stated.items()}
     assert max(apart[n] for n in ("X_udot", "Y_vdot", "N_rdot")) < 10.0
-
-
-@pytest.mark.slow
-def test_a_fit_with_an_effect_ends_at_the_same_optimum_from_an_unstable_model() -> None:
-    stated = ut.load_vehicle("cybership2")
-    *train, test = simulated_runs(stated, 3, 60.0, seed=7, size=2.0, hold=20, noise=0.005)
-    tried = with_effect(stated, "lift", N_uv=0.0)
-    weak = fit_weak(tried, prepare(train, tried))
-    unstable = weak.p.copy()
-    unstable[weak.model.places[weak.model.free.index("N_uv")]] = 300.0
-    fits = [final_fit(w, train, [test]) for w in (weak, replace(weak, p=unstable))]
-    for name in fits[0].model.free:
-        error = fits[0].standard_errors[name]
-        assert fits[1].values[name] == pytest.approx(fits[0].values[name], abs=0.1 * error)
 
 
 def test_effects_added_in_one_step_end_where_they_end_one_by_one() -> None:

@@ -11,7 +11,7 @@ from scipy.integrate import cumulative_simpson
 
 from benchmarks.hidden_effects import Case, make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
-from tests.identification.surge import M_X, TRUTH, surge_run, surge_vehicle
+from tests.identification.surge import M_X, TRUTH, surge_from_positions, surge_run, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.engine import Products
 from undertow.codegen.functions import Functions
@@ -21,8 +21,7 @@ from undertow.identification.estimation.data import prepare
 from undertow.identification.estimation.fitted import correlation, cramer_rao, remarks, t_values, verdicts
 from undertow.identification.estimation.output_error import OutputErrorFit, channel_weights, fit_output_error
 
-# Private: sums as large as these come from no simulation that is worth a test.
-# Private: sums with a column of rounding, which no log here has.
+# Private: sums as large as these, or with a column of rounding, come from no log that is worth a test.
 from undertow.identification.estimation.shooting import Shooting, _condensed, eliminated
 from undertow.identification.estimation.weak_form import fit_weak, free_parameters
 from undertow.identification.estimation.windows import cut
@@ -188,11 +187,7 @@ def test_a_window_that_runs_away_from_a_wrong_start_finds_the_right_one() -> Non
 
 
 def test_a_derived_velocity_takes_no_part_but_the_pose_does() -> None:
-    clean = surge_run()
-    x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
-    noisy = x + 1e-3 * np.random.default_rng(2).standard_normal(len(x))
-    run = replace(clean, channels={"x": noisy, "tau_X": clean.channels["tau_X"]})
-    fit = fit_output_error(surge_vehicle(), [velocities_from_pose(run, ["surge"])], horizon=None)
+    fit = fit_output_error(surge_vehicle(), [surge_from_positions()], horizon=None)
     assert np.isnan(fit.mean_square()[1])
     assert fit.mean_square()[0] == pytest.approx(1.0, abs=0.35)
     assert fit.values["X_udot"] == pytest.approx(-TRUTH["X_udot"], abs=0.02 * M_X)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from benchmarks.hidden_effects import make_case
 from tests.identification.logs_of import runs_of, true_vehicle, vehicle_of, with_effect
 from tests.identification.long_surge import EXACT, simulated, steps
-from tests.identification.surge import surge_run, surge_vehicle
+from tests.identification.surge import surge_from_positions, surge_run, surge_vehicle
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import cramer_rao, verdicts
@@ -21,7 +21,6 @@ from undertow.identification.estimation.prediction_error import (
     fit_prediction_error,
     refit_by_prediction_error,
 )
-from undertow.identification.logs.pose_velocity import velocities_from_pose
 from undertow.identification.logs.run import Run
 
 VEHICLE = surge_vehicle()
@@ -134,10 +133,7 @@ def _deviance(fit: PredictionErrorFit) -> float:
 
 
 def test_a_pose_alone_is_enough() -> None:
-    clean = surge_run()
-    x = np.concatenate([[0.0], np.cumsum(0.1 * (clean.channels["u"][1:] + clean.channels["u"][:-1]))])
-    noisy = x + 1e-3 * np.random.default_rng(2).standard_normal(len(x))
-    run = velocities_from_pose(Run("x", clean.t, {"x": noisy, "tau_X": clean.channels["tau_X"]}), ["surge"])
+    run = surge_from_positions()
     fit, other = fit_prediction_error(VEHICLE, [run]), fit_output_error(VEHICLE, [run], horizon=None)
     assert np.isnan(fit.mean_square()[1])
     for name, error in other.standard_errors.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import tracemalloc
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,10 @@ from tests.identification.surge import surge_vehicle
 from tests.quick import first_quick
 from undertow.errors import UndertowError
 from undertow.identification.estimation.fitted import TriangularFactor
-from undertow.identification.logs.chunks import LongLog, long_logs
+from undertow.identification.logs.chunks import LogPart, LongLog, long_logs
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log, read_logs
+from undertow.identification.logs.run import Run
 from undertow.paper.least_squares import (
     estimate,
     estimate_streaming,
@@ -190,10 +192,14 @@ def test_every_so_many_th_row_in_parts_is_that_of_the_whole(tmp_path: Path, name
     mapping = LogMapping.model_validate({"time": {"every": 7}})
     whole = read_log(path, mapping, ["tau_X"])
     for rows, overlap in ((100, 0), (64, 10), (1000, 0)):
-        parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(rows, overlap)]
-        fresh = [parts[0], *(p.slice(p.t[overlap]) for p in parts[1:])]
-        np.testing.assert_array_equal(np.concatenate([p.t for p in fresh]), whole.t)
-        np.testing.assert_array_equal(np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"])
+        _assert_parts_are_the_whole(LongLog(path, mapping, ("tau_X",)).parts(rows, overlap), overlap, whole)
+
+
+def _assert_parts_are_the_whole(parts: Iterable[LogPart], overlap: int, whole: Run) -> None:
+    first, *others = (part.run for part in parts)
+    fresh = [first, *(p.slice(p.t[overlap]) for p in others)]
+    np.testing.assert_array_equal(np.concatenate([p.t for p in fresh]), whole.t)
+    np.testing.assert_array_equal(np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"])
 
 
 @pytest.mark.parametrize("name", ["long.csv", "long.csv.gz", "long.parquet"])
@@ -204,12 +210,8 @@ def test_rows_of_a_stated_interval_are_counted_over_the_whole_log(tmp_path: Path
         whole = read_log(path, mapping, ["tau_X"])
         np.testing.assert_allclose(whole.t, 0.05 * np.arange(0, 1_001, every), rtol=1e-12)
         for rows, overlap in ((90, 0), (100, 20)):
-            parts = [part.run for part in LongLog(path, mapping, ("tau_X",)).parts(rows, overlap)]
-            fresh = [parts[0], *(p.slice(p.t[overlap]) for p in parts[1:])]
-            np.testing.assert_array_equal(np.concatenate([p.t for p in fresh]), whole.t)
-            np.testing.assert_array_equal(
-                np.concatenate([p.channels["u"] for p in fresh]), whole.channels["u"]
-            )
+            parts = LongLog(path, mapping, ("tau_X",)).parts(rows, overlap)
+            _assert_parts_are_the_whole(parts, overlap, whole)
 
 
 @pytest.mark.parametrize("name", ["long.csv", "long.parquet"])
