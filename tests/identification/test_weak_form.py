@@ -200,22 +200,6 @@ def test_a_complete_model_leaves_white_noise_and_true_parameters(vehicle: str, s
         assert abs(value - case.truth["parameters"][name]) < 5 * error, name
 
 
-@pytest.mark.slow
-def test_standard_errors_are_those_of_repeated_logs() -> None:
-    """Over many noise draws the estimates scatter as the fit says they do."""
-    model, (run, *_) = _ship(6, 40.0)
-    base = fit_weak(model, prepare([run], model))
-    rng = np.random.default_rng(7)
-    sigma = {"x": 0.02, "y": 0.02, "psi": 0.003, "u": 0.01, "v": 0.01, "r": 0.002}
-    scatter = []
-    for _ in range(12):
-        more = {n: run.channels[n] + s * rng.standard_normal(len(run.t)) for n, s in sigma.items()}
-        noisy = replace(run, channels=run.channels | more)
-        scatter.append(fit_weak(model, prepare([noisy], model)).values["X_udot"])
-    # Noise of the same size again is added, so the scatter is that of the original noise alone.
-    assert 0.4 < np.std(scatter, ddof=1) / base.standard_errors["X_udot"] < 2.0
-
-
 def test_a_wrong_sign_is_not_fitted() -> None:
     model, runs = _ship(8, 30.0)
     fit = fit_weak(model, prepare(runs[:1], model))

@@ -474,9 +474,9 @@ class SimulationValidator:
     def surviving(self, contenders: Sequence[Contender]) -> list[EffectSet]:
         """The short list without models that simulate worse than the best.
 
-        Where they leave little but noise,
-        windows short and long together separate them. Of those that do equally well, the one with the fewest
-        declared parameters leads: a good fit by a more flexible effect is weaker evidence.
+        Where they leave little but noise, windows short and long together separate them. Of those that do
+        equally well, the one with the fewest declared parameters leads: a good fit by a more flexible effect
+        is weaker evidence.
         """
         ordered = sorted(contenders, key=lambda c: c.error)
         near = ordered[0].error ** 2 < self.settings.near_noise
