@@ -30,7 +30,7 @@ from undertow.identification.estimation.step import (
     prior_of,
     read_equalities,
 )
-from undertow.identification.estimation.weak_form import fit_weak
+from undertow.identification.estimation.weak_form import fit_under_noise, fit_weak
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, vehicle_from_table
@@ -287,11 +287,10 @@ def test_the_information_of_tied_parameters_is_that_of_their_sum() -> None:
     vehicle = vehicle_of(case)
     data = prepare(runs_of(case), vehicle)
     tied = fit_weak(vehicle, data, constraints=Constraints(equal={"Y_v": ("X_u", 2.0)}))
-    free = [*tied.model.free, "Y_v"]
-    whole = fit_weak(
-        vehicle, data, free, start=tied.values | {"Y_v": 2 * tied.values["X_u"]},
-        whitening=tied.whitening, disturbance=tied.disturbance, max_iterations=0,
-    )  # fmt: skip
+    free = (*tied.model.free, "Y_v")
+    start = tied.values | {"Y_v": 2 * tied.values["X_u"]}
+    model, noise = WeakModel(Functions(vehicle), free), (tied.whitening, tied.disturbance)
+    whole = fit_under_noise(model, data, start, *noise, steps=0)
     across = np.eye(len(free))[:, :-1]
     across[-1, tied.model.free.index("X_u")] = 2.0
     np.testing.assert_allclose(tied.gram, across.T @ whole.gram @ across, rtol=1e-6, atol=1e-6)
