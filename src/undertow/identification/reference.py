@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,10 +15,18 @@ from undertow.typing import Array, Flags
 
 from .logs.run import Run
 
-# Longest step, s, of a reference that is interpolated: in between, an acceleration of 0.5 m/s^2 makes an
-# error of half a millimetre.
-_LONGEST_STEP = 0.1
-_SAME_TIME = 1e-6  # s by which times may differ that are one
+
+@dataclass(frozen=True)
+class ReferenceSettings:
+    """Numbers of the interpolation."""
+
+    # Longest step, s, of a reference that is interpolated: in between, an acceleration of 0.5 m/s^2 makes
+    # an error of half a millimetre.
+    longest: float = 0.1
+    same_time: float = 1e-6  # s by which times may differ that are one
+
+
+SETTINGS = ReferenceSettings()
 
 
 def truth_at(estimate: Estimate, run: Run, references: Sequence[Run]) -> Truth:
@@ -79,8 +88,8 @@ def _enclosed(t: Array, own: Array) -> Flags:
     """Which times coincide with samples, or lie between two that are close."""
     after = np.clip(np.searchsorted(own, t), 1, len(own) - 1)
     before, step = t - own[after - 1], own[after] - own[after - 1]
-    within = (before >= 0) & (before <= step) & (step <= _LONGEST_STEP * (1 + _SAME_TIME))
-    return within | (np.minimum(abs(before), abs(before - step)) <= _SAME_TIME)
+    within = (before >= 0) & (before <= step) & (step <= SETTINGS.longest * (1 + SETTINGS.same_time))
+    return within | (np.minimum(abs(before), abs(before - step)) <= SETTINGS.same_time)
 
 
 def _mismatch(estimate: Estimate, run: Run, references: Sequence[Run]) -> str:
@@ -93,5 +102,5 @@ def _mismatch(estimate: Estimate, run: Run, references: Sequence[Run]) -> str:
         )
     return (
         f"reference {references[0].source} has samples {references[0].step:.3g} s apart, and "
-        f"{_LONGEST_STEP:g} s is the limit between rows of the log: give one at a higher rate"
+        f"{SETTINGS.longest:g} s is the limit between rows of the log: give one at a higher rate"
     )

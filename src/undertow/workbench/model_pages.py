@@ -14,7 +14,8 @@ from nicegui import ui
 from undertow.figures import unit_text
 from undertow.identification.diagnosis.result import Diagnosis
 from undertow.identification.report.page import meaning, parameter_text
-from undertow.identification.report.sentences import LEAST_PROBABILITY, CommandLine
+from undertow.identification.report.sentences import SETTINGS as SENTENCES
+from undertow.identification.report.sentences import CommandLine
 from undertow.model.describe import equations_on
 from undertow.model.effect import Effect
 from undertow.model.parameter import printed
@@ -179,7 +180,7 @@ def _equations(place: Any, written: Iterable[tuple[str, str | None]]) -> None:
 def _chance(p: float | None) -> str:
     if p is None:
         return ""
-    least = LEAST_PROBABILITY
+    least = SENTENCES.least_probability
     rate = f"fewer than {100 * least:g}%" if p < least else f"{p:.1%}"
     return f" Chance does as well in {rate} of cases."
 

@@ -259,9 +259,10 @@ def _values(parameters: Sequence[Estimate], most: int) -> str:
 
 
 def _change(share: float) -> str:
-    from undertow.identification.diagnosis.prediction_gain import DIVERGES
+    from undertow.identification.diagnosis.prediction_gain import WORDING
 
-    return f"> +{DIVERGES:.0%}" if share > DIVERGES else f"{share:+.0%}"
+    most = WORDING.diverges
+    return f"> +{most:.0%}" if share > most else f"{share:+.0%}"
 
 
 def _show_steps(diagnosis: Diagnosis) -> None:

@@ -13,7 +13,15 @@ from .evidence import FoundEffect
 from .settings import DEFAULT, Settings
 from .validation import SimulationValidator, worse_by_rank_test
 
-DIVERGES = 10.0  # relative rise of an error above which its digits mean nothing
+
+@dataclass(frozen=True)
+class Wording:
+    """How changes of an error are put into words."""
+
+    diverges: float = 10.0  # rise of an error, relative, above which its digits mean nothing
+
+
+WORDING = Wording()
 #: Mean squares of prediction errors by horizon, in s: (b, n) by window and channel.
 Squares = Mapping[float, Array]
 
@@ -91,7 +99,7 @@ class PredictionGain:
         longest = long_horizons(self.falls)[-1]
         if raised := self._raised(least):
             much = -self.falls[raised[-1]]
-            if much > DIVERGES:
+            if much > WORDING.diverges:
                 return f"makes predictions over {raised[-1]:g} s diverge"
             words = f"{much:.0%}" if much > 0.005 else "a little"
             return f"increases the prediction error over {raised[-1]:g} s by {words}"

@@ -20,8 +20,15 @@ _TIME = "saves time; chosen on the development cases"
 _DEVELOPMENT = "chosen on the development cases; no ablation yet"
 
 
-# False-alarm rates: the least one that 1000 draws can show, and one above which a name would be worthless.
-_LOWEST_RATE, _HIGHEST_RATE = 0.005, 0.2
+@dataclass(frozen=True)
+class RateLimits:
+    """Limits of `false_alarm_rate`."""
+
+    least: float = 0.005  # that 1000 draws can show
+    most: float = 0.2  # a larger one would make a name worthless
+
+
+_RATES = RateLimits()
 
 
 class Threshold(NamedTuple):
@@ -420,10 +427,10 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
-        if not _LOWEST_RATE <= self.false_alarm_rate <= _HIGHEST_RATE:
+        if not _RATES.least <= self.false_alarm_rate <= _RATES.most:
             raise UndertowError(
                 f"false alarm rate {self.false_alarm_rate:g} is out of range: choose one between "
-                f"{_LOWEST_RATE:g} and {_HIGHEST_RATE:g} (0.01 by default)"
+                f"{_RATES.least:g} and {_RATES.most:g} (0.01 by default)"
             )
         if not 0.0 <= self.worth < 1.0:
             raise UndertowError(

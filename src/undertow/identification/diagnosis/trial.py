@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from undertow.identification.estimation.data import WeakData, inverse_of
-from undertow.identification.estimation.fitted import CHANCE_BETWEEN_RUNS, least_differing, may_differ
+from undertow.identification.estimation.fitted import BETWEEN_RUNS, least_differing, may_differ
 from undertow.identification.estimation.residual import (
     Linearised,
     WeakModel,
@@ -109,7 +109,7 @@ def _by_run_if_significant(candidate: Candidate, fit: WeakFit, bench: Bench, tol
     split = [n for n in own if n in fit.model.values.by_run]
     if split:
         values = fit.p[list(fit.model.places)]
-        if least_differing(fit.model, values, fit.covariance, [split])[1] < CHANCE_BETWEEN_RUNS:
+        if least_differing(fit.model, values, fit.covariance, [split])[1] < BETWEEN_RUNS.chance:
             return bench.in_all_runs(with_reestimated_noise(fit))
         fit = bench.fit(candidate.model(), start=fit.values, tolerance=tolerance)
     return bench.in_all_runs(split_between_runs(fit, own))
@@ -269,7 +269,7 @@ def _cost_by_run(model: WeakModel, at: Linearised, names: Sequence[str], data: W
 
 def _chance_fall(names: Sequence[str], runs: Sequence[str]) -> float:
     """Largest fall of the sum of squares by chance for values by run if the runs agree."""
-    return float(chi2.isf(CHANCE_BETWEEN_RUNS, len(names) * (len(runs) - 1))) if names else 0.0
+    return float(chi2.isf(BETWEEN_RUNS.chance, len(names) * (len(runs) - 1))) if names else 0.0
 
 
 @np.errstate(over="ignore", invalid="ignore")

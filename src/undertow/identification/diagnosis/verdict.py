@@ -476,8 +476,15 @@ def _separated_by(moved: list[str]) -> str:
     )
 
 
-_NAMED_OTHERS = 2  # effects beside the best that bring a parameter back, as far as a warning names them
-_ON_BOUND = 1e-6  # relative distance up to which a value is on its bound
+@dataclass(frozen=True)
+class WarningSettings:
+    """What warnings say of a parameter that has moved."""
+
+    named_others: int = 2  # effects beside the best that bring it back
+    on_bound: float = 1e-6  # relative distance up to which a value is on its bound
+
+
+_WARNINGS = WarningSettings()
 
 
 @dataclass(frozen=True)
@@ -568,7 +575,7 @@ def _far_by_factor(value: float, stated: float, factor: float) -> bool:
 def _bound(vehicle: Vehicle, name: str, value: float) -> float | None:
     """The physical bound that a value lies on or beyond, or None."""
     low, high = vehicle.declaration(name).bounds
-    slack = _ON_BOUND * max(abs(vehicle.value_of(name).value), abs(value))
+    slack = _WARNINGS.on_bound * max(abs(vehicle.value_of(name).value), abs(value))
     return low if value <= low + slack else high if value >= high - slack else None
 
 
@@ -588,7 +595,7 @@ def _warning(
         if shifted.prior
         else _printed(vehicle, shifted.name, after)
     )
-    names = " or ".join([best, *others[:_NAMED_OTHERS]])
+    names = " or ".join([best, *others[: _WARNINGS.named_others]])
     return f"{line}: it is absorbing {names}; with {best} it returns to {back}"
 
 

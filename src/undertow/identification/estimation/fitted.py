@@ -26,9 +26,17 @@ from .step import at_bounds, default_weights, estimated, follower_errors, follow
 # cost neither precision nor power, and runs that do not are not averaged. A random-effects model with an
 # estimated spread would shrink the values, but two or three runs hardly determine a spread.
 
-# False-alarm rate of the test for one effect. A diagnosis tries some ten such effects: in one of a hundred
-# diagnoses an effect gets values by run needlessly, which costs a little precision.
-CHANCE_BETWEEN_RUNS = 1e-3
+
+@dataclass(frozen=True)
+class BetweenRunsSettings:
+    """Settings of the test."""
+
+    # False-alarm rate of the test for one effect. A diagnosis tries some ten such effects: in one of a
+    # hundred diagnoses an effect gets values by run needlessly, which costs a little precision.
+    chance: float = 1e-3
+
+
+BETWEEN_RUNS = BetweenRunsSettings()
 
 
 @dataclass(frozen=True)

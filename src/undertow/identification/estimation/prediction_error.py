@@ -27,9 +27,16 @@ from .step import Constraints, SearchSpace, require_rows, squared
 from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 
-# Order of an autoregressive model: a slow force needs one, waves two, sensor noise beside them a few more.
-_MOST_ORDER = 6
-_ROWS_PER_COEFFICIENT = 10  # fewest residuals for each of its coefficients
+
+@dataclass(frozen=True)
+class AutoregressionSettings:
+    """Settings of autoregressive models of whitened residuals."""
+
+    most_order: int = 6  # a slow force needs one, waves two, sensor noise beside them a few more
+    rows_per_coefficient: int = 10  # fewest residuals for each coefficient
+
+
+AUTOREGRESSION = AutoregressionSettings()
 
 
 @dataclass(frozen=True)
@@ -46,13 +53,13 @@ class AutoregressiveNoise:
     scale: float
 
     @classmethod
-    def of(cls, series: Sequence[Array], most: int = _MOST_ORDER) -> AutoregressiveNoise:
+    def of(cls, series: Sequence[Array], most: int = AUTOREGRESSION.most_order) -> AutoregressiveNoise:
         """From whitened residuals, an array (K,) for each segment; of an order up to `most`."""
         pieces = [np.lib.stride_tricks.sliding_window_view(r, most + 1) for r in series if len(r) > most]
         rows = np.concatenate(pieces)[:, ::-1] if pieces else np.zeros((0, most + 1))
         count, least, found = len(rows), np.inf, cls(np.zeros(0), 1.0)
         for order in range(most + 1):
-            if count < _ROWS_PER_COEFFICIENT * order + 1:
+            if count < AUTOREGRESSION.rows_per_coefficient * order + 1:
                 break
             c = np.linalg.lstsq(rows[:, 1 : order + 1], rows[:, 0], rcond=None)[0]
             square = float(np.mean((rows[:, 0] - rows[:, 1 : order + 1] @ c) ** 2)) + 1e-300

@@ -14,7 +14,7 @@ from undertow.model.vehicle import Vehicle
 from undertow.typing import Array, Flags, Index
 
 from .data import Segment, WeakData, clustered, prepare, summed_scores
-from .fitted import CHANCE_BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by_run
+from .fitted import BETWEEN_RUNS, Fitted, least_differing, may_differ, stated_by_run
 from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, damped, require_equations, squared
@@ -236,7 +236,7 @@ def split_between_runs(fit: WeakFit, among: Collection[str] | None = None) -> We
         split = refitted(fit, model)
         values = split.p[list(model.places)]
         worst, chance = least_differing(model, values, split.covariance, groups)
-        if chance < CHANCE_BETWEEN_RUNS:
+        if chance < BETWEEN_RUNS.chance:
             return split_between_runs(with_reestimated_noise(split), among)
         groups.pop(worst)
     return fit
@@ -433,9 +433,16 @@ def _shifted(data: WeakData, channel: int, sigmas: float) -> WeakData:
 
 
 # --- a vehicle in a run that it was not fitted to -------------------------------------------------
-# Share of a run from which its own values are estimated; the rest is for validation. A current or a trim
-# takes a few manoeuvres to show, and the validation part should be the larger one.
-_FIRST_PART = 1.0 / 3.0
+@dataclass(frozen=True)
+class AdaptationSettings:
+    """Numbers of the adaptation to a run."""
+
+    # Share of a run from which its own values are estimated; the rest is for validation. A current or a trim
+    # takes a few manoeuvres to show, and the validation part should be the larger one.
+    share: float = 1.0 / 3.0
+
+
+ADAPTATION = AdaptationSettings()
 
 
 def per_run_parameters(vehicle: Vehicle) -> tuple[str, ...]:
@@ -466,7 +473,7 @@ def adapted(vehicle: Vehicle, run: Run) -> tuple[Vehicle, Run]:
 
 def end_of_first_part(run: Run) -> float:
     """End of the part of a run from which its own values are estimated, s (see `adapted`)."""
-    return float(run.t[0]) + _FIRST_PART * float(run.t[-1] - run.t[0])
+    return float(run.t[0]) + ADAPTATION.share * float(run.t[-1] - run.t[0])
 
 
 def first_part(run: Run, vehicle: Vehicle, sigma: Array | None = None) -> WeakData | None:

@@ -436,8 +436,15 @@ def _log_det(matrix: Array) -> float:
 
 
 # --- the errors of models over the rest of the logs, a piece at a time ---------------------------------
-_PIECE_ROWS = 20_000  # in memory at a time
-_HORIZON = 5.0  # s that are predicted from each measured start, as by `undertow compare`
+@dataclass(frozen=True)
+class CheckSettings:
+    """Numbers of the check of models over the rest of the logs."""
+
+    rows: int = 20_000  # of a piece, in memory at a time
+    horizon: float = 5.0  # s that are predicted from each measured start, as by `undertow compare`
+
+
+CHECK = CheckSettings()
 
 
 @dataclass
@@ -468,7 +475,7 @@ def with_errors_on_rest(
     sums = {name: _ErrorSums(Predictor(Functions(vehicle))) for name, vehicle in models.items()}
     motions: list[tuple[Array, Array]] = []
     seconds, samples, windows = 0.0, 0, 0
-    pieces = list(without(chosen.spools, chosen.used, _PIECE_ROWS))
+    pieces = list(without(chosen.spools, chosen.used, CHECK.rows))
     for done, piece in enumerate(pieces):
         progress(done / len(pieces), "checking the rest")
         try:
@@ -492,7 +499,7 @@ def with_errors_on_rest(
     rest = Rest(
         seconds=seconds,
         samples=samples,
-        horizon=_HORIZON,
+        horizon=CHECK.horizon,
         windows=windows,
         models=[_errors(name, own, size, names) for name, own in sums.items()],
     )
@@ -505,7 +512,7 @@ def _predicted(
     """Windows of a piece predicted by every model."""
     fitted = {name: adapted(vehicle, run) for name, vehicle in models.items()}
     begin = max(float(rest.t[0]) for _, rest in fitted.values())
-    windows = cut([run.slice(begin)], next(iter(models.values())), _HORIZON)
+    windows = cut([run.slice(begin)], next(iter(models.values())), CHECK.horizon)
     return {
         name: predict_each([vehicle], windows, sums[name].predictor) for name, (vehicle, _) in fitted.items()
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,16 @@ _GROUPS = (
 _PANEL, _BAR, _BELOW = 1.5, 0.36, 1.1
 
 
-# Standard error at which bars end, as a share of the value: beyond it nothing is known.
-_LONGEST_BAR = 10.0
-_COMMAND_DIGITS = 6  # of the largest command in a file, significant
+@dataclass(frozen=True)
+class PlanSettings:
+    """How standard errors are drawn, and commands are written."""
+
+    # Standard error at which bars end, as a share of the value: beyond it nothing is known.
+    longest_bar: float = 10.0
+    command_digits: int = 6  # of the largest command in a file, significant
+
+
+SETTINGS = PlanSettings()
 
 
 def plan_picture(planned: Planned) -> Figure:
@@ -110,7 +118,7 @@ def _draw_errors(axis: Any, plan: Plan) -> None:
             )
     axis.set_yticks(rows, [plain(known.name) for known in plan.parameters])
     axis.set_xscale("log")
-    axis.set_xlim(0.5 * min(_share(k, k.error_after) for k in plan.parameters), 3 * _LONGEST_BAR)
+    axis.set_xlim(0.5 * min(_share(k, k.error_after) for k in plan.parameters), 3 * SETTINGS.longest_bar)
     axis.xaxis.set_major_formatter(lambda value, _: _percent(value))
     axis.set_xlabel("standard error as a share of the value (expected, if the model is right)")
     _finish(axis)
@@ -118,7 +126,7 @@ def _draw_errors(axis: Any, plan: Plan) -> None:
 
 def _share(known: PlannedParameter, error: float | None) -> float:
     size = abs(known.value) or 1.0
-    return _LONGEST_BAR if error is None else min(error / size, _LONGEST_BAR)
+    return SETTINGS.longest_bar if error is None else min(error / size, SETTINGS.longest_bar)
 
 
 def _percent(share: float) -> str:
@@ -166,7 +174,9 @@ def command_csv(planned: Planned) -> str:
     commands, manoeuvre = planned.plan.commands, planned.manoeuvre
     columns = [[f"{t:.9g}" for t in manoeuvre.t]]
     for i, command in enumerate(commands):
-        places = max(_COMMAND_DIGITS - 1 - math.floor(math.log10(max(command.limit, -command.least))), 0)
+        places = max(
+            SETTINGS.command_digits - 1 - math.floor(math.log10(max(command.limit, -command.least))), 0
+        )
         cut = np.trunc(manoeuvre.u[:, i] * 10.0**places) / 10.0**places
         columns.append([f"{value:.{places}f}" for value in (cut + 0.0).tolist()])
     head = ",".join(["t", *(c.name for c in commands)])

@@ -241,15 +241,23 @@ _ID = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", re.ASCII)
 _RESERVED = {"Wrench", "Parameter", "Signals", "UndertowError"}
 
 
-_LONGEST_ID, _LONGEST_TEXT = 60, 400  # characters
+@dataclass(frozen=True)
+class TextLimits:
+    """Longest texts of a new effect, characters."""
+
+    effect_id: int = 60
+    text: int = 400
+
+
+_LIMITS = TextLimits()
 
 
 def check_id(effect_id: str) -> None:
     """Refuse an id that is not in snake case, is a word of Python, or has an effect of the catalogue."""
-    if not _ID.fullmatch(effect_id) or len(effect_id) > _LONGEST_ID or keyword.iskeyword(effect_id):
+    if not _ID.fullmatch(effect_id) or len(effect_id) > _LIMITS.effect_id or keyword.iskeyword(effect_id):
         raise UndertowError(
-            f"'{effect_id[: 2 * _LONGEST_ID]}' cannot be an id: write small letters, digits and single "
-            f"underscores, at most {_LONGEST_ID} of them, such as 'turning_drag'"
+            f"'{effect_id[: 2 * _LIMITS.effect_id]}' cannot be an id: write small letters, digits and single "
+            f"underscores, at most {_LIMITS.effect_id} of them, such as 'turning_drag'"
         )
     if effect_id in catalogue():
         raise UndertowError(f"effect '{effect_id}' is in the catalogue already: choose another id")
@@ -272,7 +280,7 @@ def taken_names() -> frozenset[str]:
 def safe_text(text: str) -> str:
     """Text that is safe in a docstring: printable, on one line, without quotes and backslashes."""
     line = " ".join(text.split()).replace('"', "'").replace("\\", "/")
-    return "".join(c if c.isprintable() else "?" for c in line)[:_LONGEST_TEXT]
+    return "".join(c if c.isprintable() else "?" for c in line)[: _LIMITS.text]
 
 
 def literal(text: str) -> str:

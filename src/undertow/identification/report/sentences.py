@@ -75,14 +75,21 @@ def both(before: float | None, after: float | None) -> tuple[str, str]:
     return percentage(before, digits), percentage(after, digits)
 
 
-_LEAST_CHANGE = 0.02  # relative, of an error, that tables show and sentences must not call none
-LEAST_PROBABILITY = 0.002  # that a few thousand draws determine
+@dataclass(frozen=True)
+class SentenceSettings:
+    """What sentences and tables tell apart."""
+
+    least_change: float = 0.02  # relative, of an error, that tables show and sentences must not call none
+    least_probability: float = 0.002  # that a few thousand draws determine
+
+
+SETTINGS = SentenceSettings()
 
 
 def _digits(low: float, high: float) -> int:
     """Digits of two errors that are compared: two, or three where only these show a change."""
     same = isfinite(low) and isfinite(high) and not _differ(low, high, 2)
-    return 3 if same and abs(high - low) >= _LEAST_CHANGE * max(low, high) else 2
+    return 3 if same and abs(high - low) >= SETTINGS.least_change * max(low, high) else 2
 
 
 def _differ(low: float, high: float, digits: int) -> bool:
@@ -177,7 +184,8 @@ def chance(p_value: float | None) -> str:
     """A probability in per cent, with the digits that resampling determines; empty for none."""
     if p_value is None:
         return ""
-    return f"< {LEAST_PROBABILITY:.1%}" if p_value < LEAST_PROBABILITY else f"{p_value:.1%}"
+    least = SETTINGS.least_probability
+    return f"< {least:.1%}" if p_value < least else f"{p_value:.1%}"
 
 
 def errors(ahead: Mapping[str, float]) -> str:
