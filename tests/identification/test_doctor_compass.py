@@ -106,14 +106,20 @@ def test_two_degrees_are_what_a_compass_may_have() -> None:
     assert _found(_boat(small, _turning)) is None
 
 
-@pytest.mark.parametrize(("across", "certain"), [(5.0, True), (80.0, False)])
+@pytest.mark.parametrize(("iron", "found"), [(20.0, True), (55.0, False)])
+def test_no_iron_turns_a_compass_by_a_radian(iron: float, found: bool) -> None:
+    columns = _boat((0.0, 0.0, np.radians(iron)), _at_rest)
+    assert (_found(columns) is not None) is found
+
+
+@pytest.mark.parametrize(("across", "certain"), [(1.0, True), (16.0, False)])
 def test_headings_within_a_sector_tell_no_deviation_from_a_turned_sensor(
     across: float, certain: bool
 ) -> None:
     """Certain for the headings of the log, and as uncertain as it is large for all others."""
     along = np.array([[0.9, -0.44], [0.44, 0.9]])
-    covariance = along @ np.diag(np.radians([2.0, across]) ** 2) @ along.T
-    assert Deviation(np.radians([84.7, 45.5]), covariance, 0.5, derived=True).is_certain is certain
+    covariance = along @ np.diag(np.radians([0.4, across]) ** 2) @ along.T
+    assert Deviation(np.radians([16.9, 9.1]), covariance, 0.5, derived=True).is_certain is certain
 
 
 def test_the_doctor_says_it_and_its_lines_mend_the_log(tmp_path: Path) -> None:

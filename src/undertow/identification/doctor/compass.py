@@ -37,6 +37,9 @@ class CompassSettings:
     # not tell it from a sensor that is turned.
     vague: float = 0.5
     smallest: float = 0.035  # rad: a compass that has been adjusted is better than 2 degrees
+    # rad: the compass of a ship of steel is off by half of this before it is adjusted, and of more the sine
+    # of an angle is no longer the angle. What seems larger is a force that depends on the heading.
+    largest: float = 0.5
     # Cosine between what the heading does at rest and what grows with the speed from which one takes away
     # from the other.
     opposed: float = 0.5
@@ -62,11 +65,12 @@ class Deviation:
 
     @property
     def is_certain(self) -> bool:
-        """Whether it is too large for a compass that has been adjusted, and for chance."""
+        """Whether it is too large for a compass that has been adjusted, and for chance, but not for any."""
         errors = float(self.value @ np.linalg.pinv(self.covariance, hermitian=True) @ self.value) ** 0.5
-        large = float(np.hypot(*self.value)) > SETTINGS.smallest
-        vague = float(np.linalg.eigvalsh(self.covariance)[-1]) ** 0.5 > SETTINGS.vague * np.hypot(*self.value)
-        return large and not vague and errors > SETTINGS.certain and self.explained > SETTINGS.explains
+        size = float(np.hypot(*self.value))
+        possible = SETTINGS.smallest < size < SETTINGS.largest
+        vague = float(np.linalg.eigvalsh(self.covariance)[-1]) ** 0.5 > SETTINGS.vague * size
+        return possible and not vague and errors > SETTINGS.certain and self.explained > SETTINGS.explains
 
     @property
     def undo(self) -> Undo:
