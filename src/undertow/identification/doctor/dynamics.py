@@ -183,8 +183,10 @@ class Dynamics:
 
     def no_worse(self, mistake: Mistake) -> bool:
         """Whether the refitted model explains the motion as well or better once a mistake is undone."""
+        # By what both fits minimise. In units of the noise of the sensors a fit that makes the vehicle heavy
+        # leaves less, since its inertia multiplies that noise.
         fit = self.without(mistake)
-        return fit is None or self.gain(fit).overall >= 1.0
+        return fit is None or fit.cost <= self.fit.cost
 
     def predicted_better(self, mistake: Mistake) -> bool:
         """Whether predictions one step ahead, with process noise in the model, say that there is a mistake.
