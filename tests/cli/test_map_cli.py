@@ -297,6 +297,11 @@ def test_a_table_that_ends_below_its_header_is_refused_for_that(
         ("y0", "y", ""),
         ("battery_cap", "", ""),
         ("current_yaw", "psi", ""),
+        ("M1ATTITUDEyaw", "psi", ""),
+        ("M1ATTITUDEyawspeed", "r", ""),
+        ("compassheadingdeg", "psi", "deg"),
+        ("desyaw", "", ""),
+        ("portcmd", "", ""),
     ],
 )
 def test_a_name_is_taken_apart(column: str, channel: str, unit: str) -> None:
@@ -740,6 +745,28 @@ def test_a_clock_in_no_known_unit_is_asked_about_with_what_contradicts_it() -> N
     assert found.time.entry["unit"] == "s"
     asked = "change by 26.8 m/s, and the speed column says 1.56: is the time, the position or the speed in"
     assert asked in found.time.doubt
+
+
+def test_a_count_of_the_rows_is_no_clock_beside_what_is_as_even() -> None:
+    """The index that pandas writes in front of all columns, of another name than that of a clock."""
+    columns = _sailed(1.5)
+    seconds = columns.pop("seconds")
+    found = guess_table(
+        pl.DataFrame({"": np.arange(len(seconds)), "tvec": seconds} | columns), Path("own.csv")
+    )
+    assert found.time.column == "tvec"
+    alone = guess_table(pl.DataFrame({"": np.arange(len(seconds))} | columns), Path("own.csv"))
+    assert alone.time.column == ""
+
+
+def test_the_unit_of_the_yaw_rate_shows_beside_a_heading_that_was_resampled_as_it_jumped() -> None:
+    """Between 359 and 1 degrees lie samples through which no vehicle has turned."""
+    t = np.arange(0.0, 400.0, 0.5)
+    psi = 6.0 + 8.0 * np.sin(t / 9.0)
+    coarse = t[::2]
+    columns = {"t": t, "psi": np.interp(t, coarse, psi[::2] % 360.0), "r": 8.0 / 9.0 * np.cos(t / 9.0)}
+    (rate,) = (g for g in guess_table(pl.DataFrame(columns), Path("own.csv")).columns if g.channel == "r")
+    assert (rate.entry["unit"], rate.doubt) == ("deg/s", "")
 
 
 def test_a_noisy_fix_says_nothing_of_the_clock() -> None:

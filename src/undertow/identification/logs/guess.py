@@ -53,7 +53,7 @@ from .guess_names import (
 from .guess_places import fixes_in, no_degrees, two_places
 from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, whole_table
 from .mapping import LogMapping, angles
-from .run import FORCES, UNITS
+from .run import FORCES, UNITS, without_jumps
 from .table import joined_rows, texts_in, unit_of_cells
 
 
@@ -128,6 +128,7 @@ def guess_table(
     attitude = angles(*(data[n] for n in turned)) if turned else {}
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
+    known |= {"psi": without_jumps(t, known["psi"])} if "psi" in known else {}
     axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
     read = _rates_by_heading(read, names, data, (t, (known | attitude).get("psi")), axes)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")

@@ -159,8 +159,11 @@ def _with_dots(words: Sequence[str]) -> list[str]:
     return [w for part in split for w in part]
 
 
-# "gyroz" is "gyro", "z"; "yawspeed" is of MAVLink.
-_RUN_TOGETHER = "(gyro?|omega|vel|pos)([xyz])|(roll|pitch|yaw)(speed|rate)|(ground)(speed)"
+# "gyroz" is "gyro", "z"; "yawspeed" is of MAVLink, "imuyaw" the yaw of something.
+_RUN_TOGETHER = (
+    "(gyro?|omega|vel|pos)([xyz])|(.*?)(roll|pitch|yaw|heading)(speed|rate)?(deg|rad)?|(ground)(speed)"
+    "|(port|starboard|stbd|left|right|rudder|motor)(cmd|command|thrust|rpm|pwm|angle)"
+)
 
 
 def _no_knots(text: str) -> str:

@@ -258,10 +258,16 @@ def _clock(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> str | 
     fine = [n for n in named if n in dated or not _is_coarse(data[n])]
     if not fine and (even := next(filter(None, map(_rounded, data, data.values())), None)):
         return even
-    # Of a table of several clocks only one has the time of every row.
+    # Of a table of several clocks only one has the time of every row. A count of the rows is none, beside
+    # what is evenly spaced as well.
+    counts = [n for n in rising if _are_even(data[n]) and data[n][1] - data[n][0] == 1.0]
+    others = [n for n in rising if _are_even(data[n]) and n not in counts]
     found = min(
         [*named, *rising],
-        key=lambda n: (n not in named, n not in fine, table[n].null_count(), not is_clock(n)),
+        key=lambda n: (
+            *(n not in named, n not in fine, table[n].null_count(), not is_clock(n)),
+            bool(others) and n in counts,
+        ),
         default=None,
     )
     if found is None and table.height < 2:
@@ -285,6 +291,12 @@ def _is_coarse(times: Array) -> bool:
     if not np.isfinite(times).all() or np.any(steps < 0.0) or np.sum(steps > 0.0) < SETTINGS.fewest:
         return False
     return bool(np.mean(steps == 0.0) >= SETTINGS.late)
+
+
+def _are_even(times: Array) -> bool:
+    """Whether a column grows by the same in every row."""
+    steps = np.diff(times)
+    return len(steps) > 1 and bool(np.ptp(steps) < SETTINGS.even * abs(steps[0]))
 
 
 def _rounded(name: str, times: Array) -> Guess | None:

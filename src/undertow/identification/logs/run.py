@@ -291,7 +291,8 @@ class JumpSettings:
 JUMPS = JumpSettings()
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of a damaged number, 1e308 rad
+# Of a damaged number, 1e308 rad, and of a clock that stands still.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def across_jump(t: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Samples of an angle on its way from one end of its range to the other, which no vehicle has turned.
 
