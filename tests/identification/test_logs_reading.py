@@ -729,7 +729,8 @@ def test_shares_of_full_thrust_that_are_taken_for_newtons_are_reported(tmp_path)
             by,
             reported,
         )
-    small = replace(otter, thrusters=tuple(replace(t, limit=1.0) for t in otter.thrusters))
     table.write_csv(path)
-    (run,) = read_logs([path], small, LogMapping())
-    assert not run.reader_notes
+    for change in ({"limit": 1.0}, {"thrust_per_command": Value(1.0, estimate=True)}):
+        other = replace(otter, thrusters=tuple(replace(t, **change) for t in otter.thrusters))
+        (run,) = read_logs([path], other, LogMapping())
+        assert not run.reader_notes

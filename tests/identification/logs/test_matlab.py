@@ -249,6 +249,17 @@ def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:
         read_field_log(_written(tmp_path, {"tc": cells, "heading": cells}))
 
 
+@pytest.mark.parametrize(("later", "noted"), [(100.0, True), (0.0, False)])
+def test_structs_with_the_same_motions_at_different_times_are_noted_as_runs(
+    tmp_path: Path, later: float, *, noted: bool
+) -> None:
+    """At the same times they may be two sensors."""
+    t = np.arange(30.0)
+    runs = {f"tack{k}": {"t": t + later * k, "yaw": np.sin(t + k)} for k in (1, 2, 3)}
+    notes = " ".join(read_field_log(_written(tmp_path, runs)).notes)
+    assert ("tack1 to tack3 have the same columns at different times: separate runs" in notes) is noted
+
+
 def test_a_file_without_time_is_refused_with_its_names(tmp_path: Path) -> None:
     path = _written(tmp_path, {"speed": np.ones(20), "depth": np.ones(20)})
     with pytest.raises(UndertowError, match=r"no time vector .*it has speed, depth.*call one of them"):

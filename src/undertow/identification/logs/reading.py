@@ -244,9 +244,9 @@ def _with_velocities(run: Run, vehicle: Vehicle) -> Run:
 def _with_note_on_newtons(run: Run, vehicle: Vehicle) -> Run:
     """The run, with a note on commands from -1 to 1 that a vehicle expects in newtons."""
     # Commands of a table only if they reach exactly 1 and its mapping file states no unit. A thruster whose
-    # limit is one newton may well be commanded by as much.
-    in_newtons = (t for t in vehicle.thrusters if t.unit == "N" and (t.limit is None or t.limit > 1.0))
-    plain = [t.name for t in in_newtons if run.has(t.name)]
+    # limit is one newton may well be commanded by as much, and a thrust that is estimated has any unit.
+    fixed = (t for t in vehicle.thrusters if t.unit == "N" and not t.thrust_per_command.estimate)
+    plain = [t.name for t in fixed if run.has(t.name) and (t.limit is None or t.limit > 1.0)]
     largest = max((float(np.nanmax(np.abs(run.channels[name]), initial=0.0)) for name in plain), default=0.0)
     columns = run.mapping.columns.values() if run.mapping is not None else ()
     stated = any(column.channel in plain and column.unit for column in columns)

@@ -25,7 +25,7 @@ from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.table import has_dates, seconds
 from undertow.typing import Array
 
-from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns
+from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns, on_separate_runs
 from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series, from_one_begin, library
 
@@ -76,7 +76,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     if untimed:
         were = "was" if len(untimed) == 1 else "were"
         notes.append(f"no time has as many samples as {listed(untimed)}, which {were} left out")
-    about, asked = tuple(notes), tuple(questions)
+    about, asked = (*notes, *on_separate_runs(found)), tuple(questions)
     return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
 
 

@@ -175,7 +175,7 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
         if begin > end:
             raise UndertowError(
                 f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
-                "separate runs; give the tables of each as one log"
+                "separate runs, or on clocks that do not begin together; give the tables of each as one log"
             )
 
 
