@@ -702,6 +702,11 @@ def test_times_since_1970_are_the_same_in_parts(tmp_path, name):
     np.testing.assert_allclose(t, np.arange(1000) * 333e-9, rtol=1e-14)
 
 
+def test_zeros_that_a_loss_of_power_leaves_behind_the_last_row_are_no_row(log):
+    assert log("t,u\n0,1\n0.1,2\n0.2,3\n" + 40 * "\0").t[-1] == 0.2
+    assert log("t,u\n0,1\n0.1,2\n0.2,3" + 40 * "\0").channels["u"][-1] == 3.0
+
+
 def test_seconds_since_1970_in_text_keep_their_nanoseconds(log):
     run = log("t,u\n1714564800.123456789,1\n1714564800.123456999,2\n1.7145648005e9,3\n")
     np.testing.assert_allclose(run.t, [0, 210e-9, 0.376543211], rtol=1e-9)

@@ -348,6 +348,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     _refuse_packed(text, where)
+    text = text.rstrip(b"\0")  # what a file system leaves behind the last row where power was lost
     if mapping.delimiter == " ":  # several blanks in a row are one, as in columns that stand below each other
         text = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text))
     header = header_of(text, mapping)
