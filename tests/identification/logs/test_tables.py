@@ -246,3 +246,24 @@ def test_stamps_in_two_columns_are_the_clock_of_one_table_too(
     (tmp_path / "ms.toml").write_text(text.replace('unit = "s"', 'unit = "ms"', 1), encoding="utf-8")
     with pytest.raises(UndertowError, match=r"nanoseconds belong to a column in s, but unit is 'ms'"):
         read_mapping(tmp_path / "ms.toml")
+
+
+def test_what_reports_later_than_the_rows_that_are_looked_at_is_seen(tmp_path: Path) -> None:
+    """A recorder of the motion that ran for minutes before the motors were switched on."""
+    t = np.arange(0.0, 300.0, 0.01)
+    late = t[t > 250.0]
+    _write(tmp_path / "pose.csv", {"time": t} | _motion(t))
+    _write(tmp_path / "motors.csv", {"time": late} | _thrust(late))
+    found = {g.channel for g in first_mapping(read_field_log(tmp_path)).columns}
+    assert {"x", "y", "psi", "r", "motors.left_motor", "motors.right_motor"} <= found
+
+
+def test_clocks_that_do_not_all_count_since_1970_are_noted_once(tmp_path: Path) -> None:
+    t = np.arange(0.0, 40.0, 0.1)
+    late = np.where(t == t[200], t[199], t)
+    _write(tmp_path / "pose.csv", {"time": BEGIN + late} | _motion(t))
+    _write(tmp_path / "motors.csv", {"time": 5.0 + t} | _thrust(t))
+    log = read_field_log(tmp_path)
+    assert "since 1970: its first time is taken for 0 s of motors (first at 5 s)" in log.notes[0]
+    assert len({*log.notes}) == len(log.notes) == 2
+    assert {*log.series["pose"].t[:1]} == {0.0}

@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from undertow.errors import UndertowError, nearest
+from undertow.errors import UndertowError, listed, nearest
 from undertow.files import file_hash, hash_of
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
@@ -180,10 +180,14 @@ class FieldLog:
         return pl.DataFrame(table, nan_to_null=True)
 
     def beginning(self) -> pl.DataFrame:
-        """The first rows of all columns, as many as are needed to guess their meaning."""
-        every = np.sort(np.concatenate([one.t[rising(one.t)] for one in self.series.values()]))
+        """Rows of all columns, enough to guess their meaning: the first in which most of them report."""
+        times = [t for one in self.series.values() if len(t := one.t[rising(one.t)])]
+        begins = np.unique([t[0] for t in times])
+        reporting = sum(((t[0] <= begins) & (begins < t[-1])).astype(int) for t in times)
+        begin = float(begins[np.argmax(reporting)])
+        every = np.sort(np.concatenate([t[t >= begin] for t in times]))
         end = float(every[min(SETTINGS.guess_rows, len(every)) - 1])
-        return self.table(self.columns, (None, end)).filter(pl.col(TIME) <= end)
+        return self.table(self.columns, (begin, end)).filter(pl.col(TIME).is_between(begin, end))
 
     @property
     def sha256(self) -> str:
@@ -251,6 +255,20 @@ def from_one_begin(found: Sequence[Series]) -> list[Series]:
     late = [first for first in firsts if abs(first) > SETTINGS.since]
     begins = [min(late) if abs(first) > SETTINGS.since else 0.0 for first in firsts]
     return [replace(one, t=one.t - begin) for one, begin in zip(found, begins, strict=True)]
+
+
+def on_clocks(found: Sequence[Series]) -> list[str]:
+    """A note on what `from_one_begin` takes for one moment, where only some clocks count since 1970."""
+    firsts = {one.name: float(np.nanmin(one.t)) for one in found}
+    own = {name: first for name, first in firsts.items() if abs(first) <= SETTINGS.since}
+    if len(own) in (0, len(firsts)):
+        return []
+    begins = listed(f"{name} (first at {first:.4g} s)" for name, first in own.items())
+    others = listed(name for name in firsts if name not in own)
+    return [
+        f"only the clock of {others} counts since 1970: its first time is taken for 0 s of {begins}; if it "
+        "is not, a delay of their columns puts that right"
+    ]
 
 
 def in_order(log: FieldLog) -> FieldLog:
@@ -606,7 +624,7 @@ def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
                 f"log {path} is {known.name}, and only tables can be given as several files: give it alone, "
                 f"or make a table of each (undertow import {path} --out NEW.parquet)"
             )
-    return next(one.together for one in formats() if one.together)(paths)
+    return in_order(next(one.together for one in formats() if one.together)(paths))
 
 
 def readable() -> str:

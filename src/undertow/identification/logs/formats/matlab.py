@@ -27,7 +27,7 @@ from undertow.typing import Array
 
 from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns, on_separate_runs
 from .fieldlog import SETTINGS as UNION
-from .fieldlog import FieldLog, Format, Series, from_one_begin, library
+from .fieldlog import FieldLog, Format, Series, from_one_begin, library, on_clocks
 
 _WORKSPACE = "workspace"
 _ITSELF = {"values", "value", "data"}  # a member that is what its struct is called
@@ -70,6 +70,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"log {path} has no time vector with other vectors of the same length (it has {names}): call "
             f"one of them time or t.{what}"
         )
+    notes += on_clocks(found)
     found = from_one_begin(found)
     mapping, actuators, questions = guessed(path, found)
     series = {one.name: one for one in found}

@@ -36,7 +36,7 @@ from undertow.identification.logs.table import WHOLE, lacking_zeros
 from undertow.typing import Array
 
 from .by_name import CLOCK, numbered
-from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, in_order
+from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, on_clocks
 from .fieldlog import SETTINGS as UNION
 
 ENDS = (".csv", ".csv.gz", ".parquet")
@@ -73,17 +73,17 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     if not found:
         raise UndertowError(f"log {path} has no table with a time: {reasons[0]}")
     _refuse_runs(path, files, found)
-    found = from_one_begin(found)
+    clocks, found = on_clocks(found), from_one_begin(found)
     _refuse_apart(path, found)
     by_name = {one.name: one for one in found}
     more = len(reasons) - SETTINGS.named
     named = reasons[: SETTINGS.named] + [f"and {more} more"] * (more > 0)
-    remarks = (f"left out: {', '.join(named)}",) if reasons else ()
+    remarks = (*clocks, *((f"left out: {', '.join(named)}",) if reasons else ()))
     if lacking:
         others = f"; so do {len(lacking) - 1} more tables" if len(lacking) > 1 else ""
         remarks = (f"{lacking[0]}{others}", *remarks)
     log = FieldLog(path, FORMAT.name, by_name, notes=remarks, files=tuple(files), by_name=True)
-    return in_order(_guessed(log))
+    return _guessed(log)
 
 
 def _guessed(log: FieldLog) -> FieldLog:
