@@ -1074,6 +1074,10 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
             "48.2,-3.0,120,[-10.0]\n48.3,-3.0,119,[-10.1]\n48.4,-3.0,118,[-10.2]\n",
             "begins with numbers (48.2, -3.0, 120 …): write a line with the names of its 4 columns",
         ),
+        (
+            "2026-02-04 15:38:48,853 - INFO - (1.2)\n2026-02-04 15:38:49,827 - INFO - (1.3)\n",
+            "begins with numbers (2026-02-04 15:38:48, 853 - INFO - (1.2) …): write a line with the names",
+        ),
         ("A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9, "line 3 has 3 cells, the header 1: delete lines"),
     ],
 )

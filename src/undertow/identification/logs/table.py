@@ -402,8 +402,9 @@ def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
 
 
 def _refuse_no_names(names: list[str], after: list[str], where: str) -> None:
-    """Refuse a first line with numbers just where the line after it has them: that is no header."""
-    numeric, later = ([is_number(cell) for cell in row] for row in (names, after))
+    """Refuse a first line with numbers or dates where the line after it has them: that is no header."""
+    dated = re.compile(DATE)
+    numeric, later = ([is_number(c) or bool(dated.match(c)) for c in row] for row in (names, after))
     counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
     alike = all(numeric) or (any(numeric) and numeric == later)
     if len(names) > 1 and alike and names not in counted:
