@@ -426,6 +426,15 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert "not in degrees" in reason
 
 
+def test_north_is_not_ahead_of_a_vehicle_without_a_heading() -> None:
+    t = np.arange(0.0, 200.0, 5.0)
+    columns = {"t": t, "lat": 48.8 + 1e-6 * t, "lon": -130.4 + 1e-6 * t, "depth": 20 + 10 * np.sin(t / 30)}
+    glider = guess_table(pl.DataFrame(columns), Path("own.csv"), load_vehicle("glider"))
+    assert [g.channel for g in glider.columns] == ["z"]
+    assert {"lat", "lon"} <= {*glider.ignored["a motion that the vehicle does not have"]}
+    assert any("no column looks like surge (u or x)" in asked for asked in glider.asked)
+
+
 def test_latitude_and_longitude_may_be_in_degrees_and_minutes(tmp_path: Path) -> None:
     """As in sentences of NMEA 0183, across a whole degree: 48 degrees 59.999' is followed by 49 degrees."""
     t = np.arange(0.0, 60.0, 0.5)
@@ -1327,6 +1336,11 @@ def test_latitude_and_longitude_that_repeat_between_fixes_are_read_where_they_ar
     north = run.reports("x")
     np.testing.assert_allclose(run.t[np.isfinite(north)], np.arange(60.0), atol=1e-9)
     np.testing.assert_allclose(np.diff(north[np.isfinite(north)]), 1.112, atol=1e-3)
+
+
+def test_the_position_of_a_buoyancy_engine_is_its_volume() -> None:
+    assert Name.of("BallastPos").is_pumped_volume
+    assert not Name.of("BallastCmd").is_pumped_volume
 
 
 def test_the_volume_that_a_glider_pumps_is_its_net_buoyancy(tmp_path: Path) -> None:

@@ -267,3 +267,14 @@ def test_clocks_that_do_not_all_count_since_1970_are_noted_once(tmp_path: Path) 
     assert "since 1970: its first time is taken for 0 s of motors (first at 5 s)" in log.notes[0]
     assert len({*log.notes}) == len(log.notes) == 2
     assert {*log.series["pose"].t[:1]} == {0.0}
+
+
+def test_a_table_of_another_name_is_no_unknown_format(tmp_path: Path) -> None:
+    """As gliders number their files."""
+    rows = "Timestamp;Depth\n23/07/2019 04:01:49;9.4\n23/07/2019 04:01:59;8.7\n"
+    (tmp_path / "gli.sub.47").write_text(rows)
+    with pytest.raises(UndertowError, match="is a table, which every command reads directly"):
+        read_field_log(tmp_path / "gli.sub.47")
+    (tmp_path / "notes.47").write_text("a dive\n\nof some length\n")
+    with pytest.raises(UndertowError, match="has an unknown format"):
+        read_field_log(tmp_path / "notes.47")

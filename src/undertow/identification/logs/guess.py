@@ -121,6 +121,8 @@ def guess_table(
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if name not in rotation and is_flag(column)}
     motion, globe, place = fixes_in(motion, data, dead, t)
+    lost = {*globe} if vehicle is not None and "psi" not in vehicle.pose_names else set()
+    globe, place = ((), {}) if lost else (globe, place)  # without a heading north is not ahead
     fixed = {channel: values for channel, (_, values) in place.items()}
     read = _motions(motion, names, data, flags, (t, fixed))
     beside = motion["x"].column if "x" in motion else "".join(globe[:1])
@@ -144,7 +146,7 @@ def guess_table(
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
     )
-    foreign = {*motion} - {g.channel for g in read}
+    foreign = {*motion, *lost} - {g.channel for g in read}
     return GuessedMapping(
         path.name,
         time,
@@ -644,8 +646,8 @@ def _ignored(
     other: tuple[Sequence[str], set[str]],
 ) -> dict[str, tuple[str, ...]]:
     """Columns that are left out, by the reason."""
-    # `foreign` are channels that the vehicle does not have, `other` columns of places that are not in
-    # degrees, and of quaternions.
+    # `foreign` are channels that the vehicle does not have, and columns of such; `other` columns of places
+    # that are not in degrees, and of quaternions.
     no_degrees, rotation = other
     columns, letters = table.columns, letters_beside(table).values()
     found: dict[str, list[str]] = {}
@@ -662,7 +664,7 @@ def _ignored(
             reason = "a set-point, or something else"
         elif column in rotation:
             reason = _BETTER
-        elif name.motion(only) in foreign:
+        elif {name.motion(only), column} & foreign:
             reason = "a motion that the vehicle does not have"
         elif name.force:
             reason = "a force on the vehicle, which its thrusters make"

@@ -91,7 +91,7 @@ _ABOUT_ELSE = {
 _MOMENT = {"torque", "moment"}
 # Buoyancy engines of gliders; their volume as commanded (c_ballast_pumped of a Slocum) is not that pumped.
 _ENGINE, _COMMANDED = {"ballast", "vbd", "buoyancy", "bladder"}, {"c", "cmd", "command", "commanded"}
-_VOLUMES, _WHOSE = {"volume", "vol", "cc", "cm3", "ml", "pumped"}, {"m", "eng", "glider"}
+_VOLUMES, _WHOSE = {"volume", "vol", "cc", "cm3", "ml", "pumped", "pos"}, {"m", "eng", "glider"}
 _WHOLE_FORCE = {"force", "wrench", *_MOMENT}
 _AXES = {"x": 0, "y": 1, "z": 2}
 # Forces and moments in one word, beside one for a wrench: "wrench.fx", "tau_mz".

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, listed, nearest
 from undertow.files import file_hash, hash_of
+from undertow.identification.logs.guess_rows import whole_table
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
 from undertow.identification.logs.table import Helper, refuse_no_file
@@ -596,7 +597,7 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     found = open_field_log(path, messages)
     if found is None:
         refuse_no_file(path)
-    if found is None and path.suffix in (".csv", ".gz", ".parquet"):
+    if found is None and (path.suffix in (".csv", ".gz", ".parquet") or _is_table(path)):
         raise UndertowError(
             f"log {path} is a table, which every command reads directly; undertow map new {path} writes a "
             "first mapping file for its columns"
@@ -604,6 +605,14 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
     if found is None:
         raise UndertowError(f"log {path} has an unknown format: {readable()}")
     return found
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file of another name is read as a table of several columns."""
+    try:
+        return len(whole_table(path)[0].columns) > 1
+    except UndertowError:
+        return False
 
 
 def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
