@@ -426,6 +426,15 @@ def test_latitude_and_longitude_become_metres_from_the_first_fix(tmp_path: Path)
     assert "not in degrees" in reason
 
 
+def test_columns_that_begin_after_the_rows_that_are_examined_are_seen(tmp_path: Path) -> None:
+    rows = np.arange(30_000.0)
+    late = pl.Series(np.where(rows < 25_000, np.nan, np.sin(rows / 50)), nan_to_null=True)
+    table = pl.DataFrame({"t": rows / 100, "u": np.cos(rows / 70), "port": late, "starboard": -late})
+    table.write_parquet(tmp_path / "run.parquet")
+    found = {g.channel for g in guess_mapping(tmp_path / "run.parquet", load_vehicle("otter")).columns}
+    assert {"u", *load_vehicle("otter").command_names} <= found
+
+
 def test_north_is_not_ahead_of_a_vehicle_without_a_heading() -> None:
     t = np.arange(0.0, 200.0, 5.0)
     columns = {"t": t, "lat": 48.8 + 1e-6 * t, "lon": -130.4 + 1e-6 * t, "depth": 20 + 10 * np.sin(t / 30)}
