@@ -83,9 +83,14 @@ _LETTERS = ("NS", "EW")
 _CALLED = ({"ns", "n", "hemisphere", "hemi"}, {"ew", "e", "hemisphere", "hemi"})
 
 
+# Of water and of units, in which a small letter is no motion: "pH", "uS/cm".
+_SYMBOLS = re.compile(r"(?<![A-Za-z])(pH|pC?O2|u[SMVA])(?![a-z])")
+
+
 def words_of(name: str) -> list[str]:
     """The words of the name of a column, in small letters: "yawRate" is "yaw" and "rate"."""
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name.translate(_ACCENTS))
+    whole = _SYMBOLS.sub(lambda symbol: symbol[0].lower(), name.translate(_ACCENTS))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", whole)
     return [w.lower() for w in re.split(r"[^A-Za-z0-9%]+|%(?=\w)", spaced) if w]  # %time of rostopic
 
 

@@ -24,14 +24,18 @@ _UNITS = {
     "n": "N", "nm": "N m", "kilonewton": "kN", "kilonewton m": "kN m",
     "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
     "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
-    "v": "V", "pwm": "pwm",
+    "v": "V", "pwm": "pwm", "mbar": "mbar", "dbar": "dbar", "hpa": "hPa", "kpa": "kPa",
+    "mg l": "mg/l", "mg/l": "mg/l", "ug l": "ug/l", "ug/l": "ug/l",
 }  # fmt: skip
 _LENGTHS, _ANGLES = {"m", "mm", "cm", "km", "ft"}, {"rad", "deg"}
 _SPEEDS, RATES = {"m/s", "cm/s", "mm/s", "km/h", "ft/s", "mph", "knot"}, {"rad/s", "deg/s", "deg/min"}
 # "SOG left (kn)" is a motion, and not the left thruster. A propeller may be commanded in rad/s.
 _NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "deg/min", "m/s^2"}
 # Units of quantities other than motions and commands; in brackets alone: "w" is a heave velocity.
-_OTHERS = {"w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh"}
+_OTHERS = {
+    "w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh",
+    "pa": "Pa", "bar": "bar",
+}  # fmt: skip
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
     "z": 2, "d": 2, "depth": 2, "down": 2, "up": 2,
@@ -87,6 +91,7 @@ _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller
 # What moves is not the vehicle, or what is measured is no motion.
 _ABOUT_ELSE = {
     "wind", "vibration", "vib", "mag", "magnetic", "magnetometer", "camera", "gimbal", "joy", "joystick",
+    "temp", "temperature",
 }  # fmt: skip
 _MOMENT = {"torque", "moment"}
 # Buoyancy engines of gliders; their volume as commanded (c_ballast_pumped of a Slocum) is not that pumped.
