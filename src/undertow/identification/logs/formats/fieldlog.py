@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from undertow.errors import UndertowError, listed, nearest
 from undertow.files import file_hash, hash_of
-from undertow.identification.logs.guess_rows import whole_table
 from undertow.identification.logs.mapping import Column, LogMapping, Time
 from undertow.identification.logs.run import later_than_before
-from undertow.identification.logs.table import Helper, refuse_no_file
+from undertow.identification.logs.table import Helper, file_bytes, read_table, refuse_no_file
 from undertow.typing import Array, Flags
 
 Places = NDArray[np.intp]
@@ -609,10 +608,12 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
 
 def _is_table(path: Path) -> bool:
     """Whether a file of another name is read as a table of several columns."""
-    try:
-        return len(whole_table(path)[0].columns) > 1
-    except UndertowError:
-        return False
+    for delimiter in ",;\t":
+        with suppress(UndertowError):
+            table = read_table(file_bytes(path), LogMapping(delimiter=delimiter), f"log {path}", path)
+            if len(table.columns) > 1:
+                return True
+    return False
 
 
 def one_run(paths: Sequence[Path], messages: Path | None = None) -> FieldLog:
