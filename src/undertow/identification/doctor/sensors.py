@@ -404,11 +404,11 @@ def _decisive(
         # Where a mismatch remains although a mistake is involved, that is not the cause there.
         wrong = inconsistent(before) & (kinematics.changed(given, rates) > SETTINGS.least_mismatch)
         remains = np.any(after.excess[wrong] > before.excess[wrong] / SETTINGS.worse)
-        # Exchanged for an axis along which nothing moves, any motion would agree.
-        compared = not np.any(kinematics.still(given, rates)[wrong])
+        units = [m for m in mistake.combined or (mistake,) if m.id in _UNITS]
+        # Exchanged for an axis along which nothing moves, any motion would agree; a unit may be that large.
+        compared = units or not np.any(kinematics.still(given, rates)[wrong])
         if remains or not compared or not explains(before, after):
             continue
-        units = [m for m in mistake.combined or (mistake,) if m.id in _UNITS]
         if all(_shows_unit(kinematics, runs, unit, mistake, (before, after)) for unit in units):
             found.append((mistake, after))
     return found
