@@ -23,7 +23,8 @@ ONE, TWO = ["lift"], ["lift", "actuation_delay"]
 @pytest.mark.parametrize(
     ("share", "left", "doubt"),
     [
-        (0.5, Remainder(residual_is_noise=True, confirmed=True), ""),
+        (0.0, Remainder(residual_is_noise=True, confirmed=True, explained=0.51), ""),
+        (0.99, Remainder(residual_is_noise=True, confirmed=True, explained=0.14), "explains only 14% of the"),
         (0.99, Remainder(residual_is_noise=True, confirmed=False), "simulation"),
         (DEFAULT.named_share + 0.01, Remainder(False, confirmed=True, nearly=True), ""),
         (DEFAULT.named_share - 0.01, Remainder(False, confirmed=True, nearly=True), "too little to be named"),

@@ -47,6 +47,7 @@ from .diagnosis.result import (
     Remaining,
     RunInfo,
     Step,
+    share_of_excess,
 )
 from .diagnosis.rounds import try_all
 from .diagnosis.search import Search, last_fit
@@ -111,21 +112,27 @@ class ResultBuilder:
     @cached_property
     def judgement(self) -> Judgement:
         """The verdict with its reasons."""
-        residual_is_noise, selection = self._residual_is_noise, self._selection
-        if selection is not None and not (residual_is_noise and selection.all_but_one_established):
+        selection, left = self._selection, self._remainder
+        explained = left.residual_is_noise and left.explained >= self.settings.excess_share
+        if selection is not None and not (explained and selection.all_but_one_established):
             judged = self._judged(selection)
             doubted = self._contradicted(judged.effects, selection.graded)
             if doubted != selection.graded:
                 self._selection = replace(selection, graded=doubted)
                 judged = self._judged(self._selection)
             return judged
-        left = Remainder(
-            residual_is_noise=residual_is_noise,
-            confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
-            nearly=residual_is_noise
-            or bool(np.nanmax(noise_ratio(self._weak[-1], self.bench.test)) < self.settings.nearly_noise),
-        )
         return judge(self.found, self._scores(-1), self.bench.noise_level, left)
+
+    @property
+    def _remainder(self) -> Remainder:
+        errors = [self._error(fit) for fit in (self.fits[0], self.fits[-1])]
+        last = noise_ratio(self._weak[-1], self.bench.test)
+        return Remainder(
+            residual_is_noise=self._residual_is_noise,
+            confirmed=not self.validator.worse_by_rank_test(self.simulated[-1], self.simulated[0]),
+            nearly=bool(np.nanmax(last) < self.settings.nearly_noise),
+            explained=share_of_excess(*errors) if self.found.winners else 1.0,
+        )
 
     def _judged(self, selection: Selection) -> Judgement:
         """The judgement of a selection; what is explained is that by the effects that it names, if any."""

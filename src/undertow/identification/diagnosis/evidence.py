@@ -189,7 +189,7 @@ def explains_all(bench: Bench, fit: WeakFit, residual_is_noise: IsNoise) -> bool
     scores = comparable_mean_squares(bench.base_score, bench.score(fit), bench.test)
     share = explained(*scores, bench.noise_level, bench.settings)
     # A model just above the noise limit may fall below it by chance.
-    return share >= bench.settings.second_look_share and residual_is_noise(fit, bench.test)
+    return share >= bench.settings.excess_share and residual_is_noise(fit, bench.test)
 
 
 @dataclass(frozen=True)

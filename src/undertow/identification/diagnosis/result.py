@@ -123,8 +123,12 @@ class Ranked(ResultTable):
     @property
     def share_of_error(self) -> float:
         """Share of the excess over the noise floor that is removed, by the errors alone."""
-        before, after = self.error_before**2, self.error_after**2
-        return (before - after) / max(before - 1.0, 1e-12)
+        return share_of_excess(self.error_before, self.error_after)
+
+
+def share_of_excess(before: float, after: float) -> float:
+    """Share of the excess over the noise floor that is removed, from errors in units of the noise."""
+    return (before**2 - after**2) / max(before**2 - 1.0, 1e-12)
 
 
 IN_PART = "in part"

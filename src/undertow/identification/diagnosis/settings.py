@@ -215,10 +215,10 @@ class Settings:
         off=0.0,
         one_case="ship:trim_offset:r1.27:n3:open:plain:30413423",
     )
-    second_look_share: float = _field(
+    excess_share: float = _field(
         0.5,
-        "fraction of the excess that a search without process noise has to explain",
-        _DEVELOPMENT,
+        "fraction of the excess over noise that effects have to explain where only noise remains",
+        "a model just above the limit of noise falls below it by chance",
         off=0.0,
     )
     second_look_limit: float = _field(
