@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from undertow.codegen.compiler import Compiler, find_compiler
+from undertow.codegen.compiler import Compiler
 from undertow.identification.estimation import data
 from undertow.identification.estimation.data import group_numbers, residual_covariance
 from undertow.identification.estimation.inputs import Inputs, PropagatedState
@@ -159,14 +159,6 @@ def test_carried_derivatives_are_those_of_finite_differences() -> None:
 
 
 # --- in C and in NumPy ------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def c_compiler() -> Compiler:
-    found = find_compiler()
-    if found is None:
-        pytest.skip("no C compiler on this machine")
-    return found
 
 
 @pytest.mark.parametrize("t", [EVEN, UNEVEN])

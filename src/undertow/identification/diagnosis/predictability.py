@@ -28,6 +28,7 @@ from undertow.model.symbols import FORCE_UNITS, POSE
 from undertow.typing import Array, Flags, Index
 
 from .associations import WAVE, Clock, Column, Trajectory, command_of, terms_of, without_bars
+from .force_rows import SETTINGS as FORCE
 from .force_rows import ForceRow, ForceRows, sliding_sums, weak_integrals
 from .parallel import one_thread
 from .result import Predictability
@@ -37,9 +38,7 @@ from .result import Predictability
 class PredictabilitySettings:
     """Settings of the estimate, chosen on simulated vehicles for computing time and false alarms."""
 
-    # Numbers of test functions to average over, and the mean square over that of noise that suffices.
-    widths: tuple[int, ...] = (1, 2, 4, 8, 16)
-    detectable_ratio: float = 2.0
+    detectable_ratio: float = 2.0  # mean square over that of noise from which no longer means are needed
     # Time constants of the lags by which commands are filtered as well, in distances of test functions. Past
     # velocities together with present ones would give the acceleration, and so any disturbance.
     lags: tuple[float, ...] = (1.0, 4.0, 16.0)
@@ -301,7 +300,7 @@ class _Force:
         In short logs it is the longest that training and validation data have room for.
         """
         room = min(max(len(part.r) for part in row.parts) for row in self._rows)
-        for width in (w for w in SETTINGS.widths if w <= max(room, 1)):
+        for width in (w for w in FORCE.widths if w <= max(room, 1)):
             force, variance = (np.concatenate(c) for c in zip(*self._rows[0].averaged(width), strict=True))
             if np.mean(force**2) > SETTINGS.detectable_ratio * np.mean(variance):
                 break
