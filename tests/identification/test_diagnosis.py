@@ -112,6 +112,15 @@ def test_an_effect_that_no_catalogue_has_is_not_given_a_name(
 
 
 @pytest.mark.slow
+def test_an_effect_that_leaves_most_of_a_faint_excess_is_no_cause() -> None:
+    """Drag grows, hardly above the noise: fading thrust explains a seventh, and the rest passes for noise."""
+    made = make_case("usv", ("growing_drag",), 17622791, strength=0.4, noise=3.0, duration=100.0)
+    runs = runs_of(made)
+    d = diagnose(vehicle_of(made), runs[:3], runs[3:]).diagnosis
+    assert d.effects == []
+
+
+@pytest.mark.slow
 def test_the_same_logs_give_the_same_answer() -> None:
     model, runs = _case("usv", ("lift",), 11, duration=30.0)
     first, second = (diagnose(model, runs[:2], runs[3:], known=_FEW).diagnosis for _ in range(2))
