@@ -313,8 +313,8 @@ The logs of most vehicles show that something is missing before anything is inje
 injected can at best come second. Here the same effects are injected after those found in the unmodified
 logs have been added to the vehicle files, named or only improving predictions, as a user would do first.
 Commands: `python -m benchmarks.real run --improved --out FILE`, and the page with `--improved FILE`. The
-injections into all logs with one degree of freedom were run, and one each into those of the model ship and
-the ROV.
+injections into all logs with one degree of freedom were run, and a few into those of the model ship, the
+tanker and the ROV.
 """
 PREDICTION = """\
 All methods are fitted to the same training runs and scored on the same windows of the same runs. In the last
