@@ -145,7 +145,8 @@ def examine(
     rows = excitation(vehicle, examiner.runs)
     examiner.check_sensors()
     report(0.8, "checking the clock of the commands and the vehicle file")
-    examiner.check_vehicle_file()
+    if examiner.is_timed:
+        examiner.check_vehicle_file()
     examiner.findings += excitation_findings(rows, vehicle, examiner.runs)
     result = Examination(
         undertow=__version__,
@@ -395,8 +396,6 @@ class _Examiner:
 
     def check_vehicle_file(self) -> None:
         """The clock of the commands, and mistakes in the vehicle file, judged by sensors that are in time."""
-        if not self.is_timed:
-            return
         at = self._dynamics()
         if at is None:
             self.findings += not_fitted(self.vehicle, self.runs)

@@ -230,11 +230,13 @@ class Kinematics:
 
     def still(self, first: Rates, second: Rates) -> Flags:
         """Whether a block moves in the first rates, and hardly in the second, by pose and velocity, (b,)."""
-        before, after = (
-            np.array([[np.sum(table[:, b] ** 2) for b in self.blocks] for table in (r.pose, r.velocity)])
-            for r in (first, second)
-        )
+        before, after = map(self.powers, (first, second))
         return np.asarray(np.all(after < SETTINGS.hardly * before, axis=0))
+
+    def powers(self, rates: Rates) -> Array:
+        """Mean squares of pose rates and of velocities in every block, (2, b)."""
+        tables = (rates.pose, rates.velocity)
+        return np.array([[np.sum(np.mean(a[:, b] ** 2, axis=0)) for b in self.blocks] for a in tables])
 
 
 def jacobian(pose: Array) -> Array:

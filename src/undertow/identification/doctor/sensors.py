@@ -386,11 +386,7 @@ def _nearer(kinematics: Kinematics, runs: Sequence[Run], mistake: Mistake) -> bo
 
 def _size_differences(kinematics: Kinematics, runs: Sequence[Run]) -> Array:
     """How far pose rates and velocities are apart in size, as a logarithm, for each block."""
-    rates = kinematics.rates(runs)
-    pose, velocity = (
-        np.array([np.sum(np.mean(a[:, b] ** 2, axis=0)) for b in kinematics.blocks])
-        for a in (rates.pose, rates.velocity)
-    )
+    pose, velocity = kinematics.powers(kinematics.rates(runs))
     return np.abs(np.log(np.maximum(pose, 1e-300) / np.maximum(velocity, 1e-300))) / 2
 
 

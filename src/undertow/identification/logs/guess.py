@@ -83,10 +83,10 @@ def guess_mapping(path: Path, vehicle: Vehicle | None = None, interval: str | No
     """Guess what the columns of a log (CSV, CSV.gz or Parquet) mean; `interval` is that of its rows."""
     table, reading = whole_table(path)
     clock = None if interval is None else Guess("t", {"interval": interval})
-    return guess_table(_telling(table), path, vehicle, reading, clock)
+    return guess_table(_examined_rows(table), path, vehicle, reading, clock)
 
 
-def _telling(table: pl.DataFrame) -> pl.DataFrame:
+def _examined_rows(table: pl.DataFrame) -> pl.DataFrame:
     """As many rows as are examined: the first, or later ones if the first lack what other columns have."""
     begins = [int(c.is_not_null().arg_max() or 0) for c in table if c.null_count() < table.height]
     late = max(begins, default=0) >= SETTINGS.rows

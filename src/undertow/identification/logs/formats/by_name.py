@@ -62,16 +62,20 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     return LogMapping(columns=columns, frames=frames), numbered(driving, columns), notes
 
 
+def has_motion(one: Series) -> bool:
+    """Whether a series has a motion among its columns, by their names."""
+    return any(Name.of(f"{one.name}.{c}").motion() for c in one.columns)
+
+
 def on_separate_runs(series: Sequence[Series]) -> list[str]:
     """Notes on series whose names differ in a number alone, with the same motions at different times."""
     by_name, notes = {one.name: one for one in series}, list[str]()
     for row in rows_by_number(by_name):
         members = sorted((by_name[name] for name in row), key=lambda one: float(np.nanmin(one.t)))
-        moving = any(Name.of(f"{members[0].name}.{c}").motion() for c in members[0].columns)
         alike = all(
             {*a.columns} == {*b.columns} and np.nanmax(a.t) < np.nanmin(b.t) for a, b in pairwise(members)
         )
-        if len(members) > 1 and moving and alike:
+        if len(members) > 1 and has_motion(members[0]) and alike:
             notes.append(
                 f"{row[0]} to {row[-1]} have the same columns at different times: separate runs, of which "
                 "only one is read: save each in a file of its own"

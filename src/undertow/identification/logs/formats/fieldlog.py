@@ -608,9 +608,13 @@ def read_field_log(path: Path, messages: Path | None = None) -> FieldLog:
 
 def _is_table(path: Path) -> bool:
     """Whether a file of another name is read as a table of several columns."""
+    try:
+        content = file_bytes(path)
+    except UndertowError:
+        return False
     for delimiter in ",;\t":
         with suppress(UndertowError):
-            table = read_table(file_bytes(path), LogMapping(delimiter=delimiter), f"log {path}", path)
+            table = read_table(content, LogMapping(delimiter=delimiter), f"log {path}", path)
             if len(table.columns) > 1:
                 return True
     return False

@@ -35,7 +35,7 @@ from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import WHOLE, lacking_zeros
 from undertow.typing import Array
 
-from .by_name import CLOCK, numbered
+from .by_name import CLOCK, has_motion, numbered
 from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, on_clocks
 from .fieldlog import SETTINGS as UNION
 
@@ -168,7 +168,7 @@ def _refuse_runs(path: Path, files: Sequence[Path], found: Sequence[Series]) -> 
 
 def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
     """Refuse tables with motions that do not overlap in time: they are separate runs."""
-    moving = [one for one in found if any(Name.of(f"{one.name}.{c}").motion() for c in one.columns)]
+    moving = filter(has_motion, found)
     spans = sorted((float(np.nanmin(one.t)), float(np.nanmax(one.t)), one.name) for one in moving)
     for place, (begin, _, after) in enumerate(spans[1:], start=1):
         _, end, before = max(spans[:place], key=lambda span: span[1])
