@@ -259,6 +259,22 @@ def test_a_tether_of_which_only_a_product_is_known_is_not_named(stiffness: float
     assert words == "" if known else "k_tension = 5.7 ± 3.1 N/m is not determined" in words
 
 
+@pytest.mark.parametrize(("error", "known"), [(0.014, True), (0.5, False)])
+def test_a_fading_that_is_known_needs_no_size_at_the_boundary(error: float, known: bool) -> None:
+    """Far from the boundary the rise and its distance are one factor; that it fades shows in the motion."""
+    values = {"boundary_rise": 0.02, "fade_D": 0.74, "fade_0": 12.2}
+    boundary = catalogue()["boundary_proximity"](())
+    words = undetermined(boundary.parameters, values, _covariance([24.0, error, 1270.0]))
+    assert words == "" if known else "boundary_rise = 0.02 ± 24 is not determined" in words
+
+
+def test_a_length_that_cannot_be_zero_determines_no_size() -> None:
+    values = {"T_cross": 6.4e-7, "L_cross": 15.0, "x_cross": -0.014}
+    crossflow = catalogue()["crossflow_drag"](())
+    words = undetermined(crossflow.parameters, values, _covariance([8e-7, 4.0, 0.001]))
+    assert "T_cross = 6.4e-07 ± 8e-07 m is not determined" in words
+
+
 @pytest.mark.parametrize(("error", "said"), [(0.8, "is not determined by these logs"), (0.1, "")])
 def test_a_limit_of_the_commands_that_may_be_any_is_not_named(error: float, said: str) -> None:
     effect = catalogue()["thruster_saturation"](())

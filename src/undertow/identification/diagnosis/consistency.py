@@ -245,7 +245,9 @@ def undetermined(
     A memory without a determined time constant is a spring or a damper, and so is one at a limit of its
     range. A command limit that is not determined may leave all of the thrust, or none. A parameter at its
     bound does not confirm the effect. If an effect is significant but none of its factors is determined, only
-    a product is, which may belong to another effect: a soft spring to a far point is a constant force.
+    a product is, which may belong to another effect: a soft spring to a far point is a constant force. A size
+    need not be one of those that are determined: of drag that fades with the distance from a boundary which
+    the vehicle never reaches, only the fading is.
 
     parameters: those that the effect adds to the model; what the vehicle file states of it is no finding.
     values, covariance: of the free parameters of a model, these among them, in the same order.
@@ -273,10 +275,21 @@ def undetermined(
     if sizes and angles and not differ(sizes, further=len(angles)):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs: any direction was possible"
-    if sizes and len(own) > len(sizes) and not known & {*sizes} and not differ(sizes):
+    factors = {*sizes, *(p.name for p in own if _is_factor(p))}
+    if sizes and len(own) > len(sizes) and not known & factors and not differ(sizes):
         size = ", ".join(words[name] for name in sizes)
         return f"its size {size} is not determined by these logs, only its product with other parameters"
     return ""
+
+
+def _is_factor(parameter: Parameter) -> bool:
+    """Whether a parameter that differs from zero gives the force a course that no factor of it has.
+
+    A lever arm does not, it only divides the force among the motions, nor does a direction; and one whose
+    range excludes zero differs from it in any log.
+    """
+    low, high = parameter.bounds
+    return not (parameter.arm_of or parameter.unit == "rad") and low <= 0.0 <= high
 
 
 def _printed(own: Sequence[Parameter], values: Mapping[str, float], covariance: Array) -> dict[str, str]:
