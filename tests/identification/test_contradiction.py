@@ -108,6 +108,17 @@ def test_thrust_does_not_fade_where_drag_grows(of: str) -> None:
     assert "its size would drop to" in doubt
 
 
+def test_drag_of_drift_and_turning_is_not_blamed_for_damping_by_thrust() -> None:
+    """Where sideways motion follows the thrust, |v| r is a fair copy of r times the thrust of all thrusters.
+
+    A fit of simulations has far other inertia and damping: that no term is significant beside them is due to
+    these, not to the term.
+    """
+    doubt = _tried(("damping_by_thrust",), "quadratic_damping_coupling", "micro-auv").doubt
+    assert doubt.startswith("with a force that varies with r times each |command|")
+    assert "its size would drop to 0%" in doubt
+
+
 @pytest.mark.parametrize("of", first_quick(["float", "usv"]))
 def test_thrust_fades_where_it_does(of: str) -> None:
     assert _tried(("supply_droop",), "supply_droop", of).doubt == ""
