@@ -90,6 +90,17 @@ def test_drag_in_turns_goes_with_the_yaw_rate_and_the_speed() -> None:
     assert "correlates with |r| u (slows surge, the more the faster it turns)" in left["surge"].summary
 
 
+def test_what_remains_does_not_depend_on_where_a_fit_ended() -> None:
+    """Of the same logs, damping and added mass that are far off hide no term."""
+    _, fit, aside = _fitted(HEADING, 1)
+    p = np.array(fit.p)
+    p[list(fit.model.places)] *= 1.5
+    (found, off) = (remaining(f, fit.data, aside)[0].depends_on[0] for f in (fit, fit.with_parameters(p)))
+    assert off.term == found.term
+    assert off.share == pytest.approx(found.share, abs=0.05)
+    assert off.chance == found.chance
+
+
 def test_a_force_that_turns_with_the_heading() -> None:
     values, left = _left(*HEADING)
     (reported,) = left["sway"].depends_on
