@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +18,20 @@ from benchmarks.hidden_effects import make_case, write_case
 from tests.identification.logs_of import runs_of, vehicle_of
 from undertow.errors import UndertowError
 from undertow.identification.api import try_effect
+from undertow.identification.comparison import compare
 from undertow.identification.diagnose import diagnose
 from undertow.identification.diagnosis.parallel import in_background, jobs, mapped
 from undertow.identification.diagnosis.validation import SimulationValidator
+from undertow.identification.doctor.examine import examine
 from undertow.identification.estimation.data import prepare
-from undertow.identification.estimation.output_error import OutputErrorFit
-from undertow.identification.estimation.weak_form import fit_weak, free_parameters
+from undertow.identification.estimation.output_error import OutputErrorFit, fit_output_error
+from undertow.identification.estimation.prediction_error import (
+    fit_prediction_error,
+    refit_by_prediction_error,
+)
+from undertow.identification.estimation.weak_form import fit_instrumental, fit_weak, free_parameters
 from undertow.identification.logs.reading import read_log
+from undertow.identification.observe import observe
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import load_vehicle
 
@@ -59,6 +68,40 @@ def test_the_linear_algebra_has_one_thread_in_long_work(tmp_path: Path) -> None:
         try_effect(model, "quadratic_damping", [run], report=lambda *_: seen["add"].extend(blas_threads()))
         assert set(blas_threads()) == {2}
     assert set(seen["fit"]) == set(seen["add"]) == {1}
+
+
+class Watched(list[Any]):
+    """Logs that note in how many threads the linear algebra is when they are read."""
+
+    def __iter__(self) -> Iterator[Any]:
+        seen.update(blas_threads())
+        return super().__iter__()
+
+
+seen: set[int] = set()
+
+
+def test_every_function_that_estimates_has_the_linear_algebra_in_one_thread(tmp_path: Path) -> None:
+    write_case(make_case("box", ("quadratic_damping",), 7, duration=20.0), tmp_path)
+    model = load_vehicle(tmp_path / "vehicle.toml")
+    run = read_log(tmp_path / "train_1.csv", channels=model.command_names)
+    weak = fit_weak(model, prepare([run], model), free_parameters(model))
+    estimating: dict[str, Callable[[Watched], object]] = {
+        "prepare": lambda runs: prepare(runs, model),
+        "compare": lambda runs: compare(model, runs, compiled=False),
+        "examine": lambda runs: examine(model, runs),
+        "observe": lambda runs: observe(model, run, progress=lambda *_: seen.update(blas_threads())),
+        "fit_output_error": lambda runs: fit_output_error(model, runs, None, 5.0),
+        "fit_instrumental": lambda runs: fit_instrumental(model, runs, None, 5.0),
+        "fit_prediction_error": lambda runs: fit_prediction_error(model, runs),
+        "refit_by_prediction_error": lambda runs: refit_by_prediction_error(weak, runs),
+    }
+    for name, estimate in estimating.items():
+        seen.clear()
+        with threadpool_limits(2):
+            estimate(Watched([run]))
+            assert set(blas_threads()) == {2}, name
+        assert seen == {1}, name
 
 
 def blas_threads() -> list[int]:

@@ -18,7 +18,6 @@ from .comparison import finite
 from .diagnose import CombinedFits, roles, save_result, uncertainty
 from .diagnose import diagnose as diagnose
 from .diagnosis.addition import Addition, AdditionSetup, add_effects, set_up_addition
-from .diagnosis.parallel import one_thread
 from .diagnosis.result import ValuesByRun, read_diagnosis, run_info
 from .diagnosis.splitting import Runs, normalised, training_and_validation, with_velocities
 from .diagnosis.verdict import estimates, values_by_run
@@ -31,6 +30,7 @@ from .estimation.predictor import predict_each
 from .estimation.residual import without_spikes
 from .estimation.step import UNDETERMINED, Constraints, read_equalities, require_equations, written_equalities
 from .estimation.test_functions import boxes, test_functions
+from .estimation.threads import one_thread
 from .estimation.weak_form import (
     adapted,
     fit_instrumental,

@@ -27,6 +27,7 @@ from .estimation.inputs import ActuatorStates, Memory
 from .estimation.pointwise import Pointwise
 from .estimation.predictor import Predictor, predict_each
 from .estimation.residual import SensorDelay, WeakModel, value_name, whitened
+from .estimation.threads import one_thread
 from .estimation.weak_form import adapted, per_run_parameters
 from .estimation.windows import Prediction, cut, possible_horizon, prediction_error
 from .findings import LongLogs, ResultTable
@@ -510,6 +511,7 @@ class Comparison:
         return measured_pose(self.vehicle, self.ahead.windows.runs)
 
 
+@one_thread()
 def compare(
     vehicle: Vehicle,
     runs: Sequence[Run],

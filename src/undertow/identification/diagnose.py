@@ -26,7 +26,7 @@ from undertow.typing import Array, Progress
 from .comparison import compare
 from .diagnosis.bench import noise_ratio
 from .diagnosis.grading import ONLY_TOGETHER, doubt_of_companion
-from .diagnosis.parallel import in_background, one_thread
+from .diagnosis.parallel import in_background
 from .diagnosis.result import Diagnosis, Role, RunInfo, ValuesByRun, run_info
 from .diagnosis.search import Search, search
 from .diagnosis.selection import Selection, least_useful, select, selected
@@ -39,6 +39,7 @@ from .doctor.examine import examine
 from .estimation.data import inverse_of, prepare
 from .estimation.fitted import SIGNIFICANT_T, Fitted
 from .estimation.step import estimated, follower_errors, followers
+from .estimation.threads import one_thread
 from .estimation.weak_form import WeakFit
 from .findings import Examination
 from .logs.run import Run

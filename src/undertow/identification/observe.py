@@ -21,6 +21,7 @@ from undertow.observer.process import BIASES, CURRENT, UNKNOWN, Kind, Process, l
 from undertow.typing import Array, Flags, Index, Progress
 
 from .estimation.inputs import without_gaps
+from .estimation.threads import one_thread
 from .logs.run import Run, report_noise
 from .reference import truth_at
 
@@ -212,6 +213,7 @@ def observe_logs(
     return ObservedLogs(tuple(found), nis(filtered, channels), whiteness(filtered, channels))
 
 
+@one_thread()
 def observe(
     vehicle: Vehicle,
     run: Run,

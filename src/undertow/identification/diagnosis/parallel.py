@@ -13,8 +13,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from undertow.codegen.engine import processors
 
 T = TypeVar("T")
@@ -31,17 +29,6 @@ def jobs() -> int:
     if sys.platform != "linux" or _work or multiprocessing.current_process().daemon:
         return 1
     return processors()
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """The linear algebra in one thread while the block, or the decorated function, runs.
-
-    Matrices are small here: thread synchronisation costs more than it saves, several times more with other
-    busy processes. Limits only libraries that are loaded already.
-    """
-    with threadpool_limits(1):
-        yield
 
 
 def mapped(work: Callable[[int], T], count: int) -> Iterator[T]:
@@ -109,4 +96,4 @@ def _initialise_worker() -> None:
     logging.disable()
 
 
-__all__ = ["in_background", "jobs", "mapped", "one_thread"]
+__all__ = ["in_background", "jobs", "mapped"]

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student
+from threadpoolctl import threadpool_limits
 
 from undertow.identification.estimation.data import Segment, WeakData, measured_pose
 from undertow.identification.estimation.fitted import Fitted
@@ -30,7 +31,6 @@ from undertow.typing import Array, Flags, Index
 from .associations import WAVE, Clock, Column, Trajectory, command_of, terms_of, without_bars
 from .force_rows import SETTINGS as FORCE
 from .force_rows import ForceRow, ForceRows, sliding_sums, weak_integrals
-from .parallel import one_thread
 from .result import Predictability
 
 
@@ -158,7 +158,7 @@ def _one_thread() -> Iterator[None]:
     """Small trees lose more time waiting for other threads than they gain."""
     import sklearn.ensemble  # noqa: F401  takes long to import, and brings the threads that are limited
 
-    with one_thread():
+    with threadpool_limits(1):
         yield
 
 

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from undertow.errors import UndertowError
+from undertow.identification.estimation.threads import one_thread
 from undertow.identification.findings import SEVERITIES, Examination, Finding, percent
 from undertow.identification.logs.mapping import Edit, Edits, LogMapping, as_toml, edited
 from undertow.identification.logs.pose_velocity import velocities_from_pose
@@ -113,6 +114,7 @@ class Examined:
     edits: Edits  # what to change in the mapping file
 
 
+@one_thread()
 def examine(
     vehicle: Vehicle,
     runs: Sequence[Run],

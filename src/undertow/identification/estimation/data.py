@@ -29,6 +29,7 @@ from .test_functions import (
     test_functions,
     weights_and_equation,
 )
+from .threads import one_thread
 
 
 # --- covariance of estimates from correlated residuals --------------------------------------------
@@ -482,6 +483,7 @@ def measured_pose(vehicle: Vehicle, runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(n for n in vehicle.pose_names if all(r.has(n) for r in runs))
 
 
+@one_thread()
 def prepare(
     runs: Sequence[Run], vehicle: Vehicle, sigma: Array | None = None, family: Family = test_functions
 ) -> WeakData:

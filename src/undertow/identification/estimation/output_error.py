@@ -20,6 +20,7 @@ from .predictor import Predictor, predict_each
 from .residual import WeakModel, base_name
 from .shooting import Reduced, Shooting
 from .step import Constraints, SearchSpace, damped
+from .threads import one_thread
 from .weak_form import WeakFit, fit_weak_by_run, free_parameters, in_runs
 from .windows import Windows, cut, horizons, prediction_error
 
@@ -366,6 +367,7 @@ LOSSES: dict[str, Loss] = {
 _PLAIN = Constraints()
 
 
+@one_thread()
 def fit_output_error(
     vehicle: Vehicle,
     runs: Sequence[Run],
@@ -440,6 +442,7 @@ def _stated_starts(model: WeakModel, values: Mapping[str, float]) -> list[dict[s
     return [dict(values) | coefficients for coefficients in different]
 
 
+@one_thread()
 def final_fit(
     weak: WeakFit,
     runs: Sequence[Run],

@@ -24,6 +24,7 @@ from .output_error import channel_weights, physical_start, weak_start
 from .residual import Linearised, WeakModel
 from .shooting import OneRun, Shooting
 from .step import Constraints, SearchSpace, require_rows, squared
+from .threads import one_thread
 from .weak_form import free_parameters, mean_square_by
 from .windows import Windows, cut_by_samples
 
@@ -466,6 +467,7 @@ def _gram(innovations: Filtered) -> Array:
     return np.asarray(J.T @ J)
 
 
+@one_thread()
 def fit_prediction_error(
     vehicle: Vehicle,
     runs: Sequence[Run],
@@ -488,6 +490,7 @@ def fit_prediction_error(
     return _Search(model, chained, progress).fit(p)
 
 
+@one_thread()
 def refit_by_prediction_error(
     fit: Fitted, runs: Sequence[Run], near: PredictionErrorFit | None = None
 ) -> PredictionErrorFit:

@@ -23,6 +23,7 @@ from .data import group_numbers
 from .inputs import Inputs, PropagatedState, shifted_mean
 from .pointwise import Pointwise
 from .residual import SensorDelay
+from .threads import one_thread
 from .windows import (
     Prediction,
     Segment,
@@ -475,6 +476,7 @@ def predict(
     return Prediction(windows, predictor.reports(windows, predictor.values))
 
 
+@one_thread()
 def predict_each(
     vehicles: Sequence[Vehicle], windows: Windows, predictor: Predictor | None = None
 ) -> Prediction:

@@ -19,6 +19,7 @@ from .predictor import Predictor
 from .residual import Linearised, WeakModel, origins, run_of, value_name, whitened, with_values_by_run
 from .step import Constraints, SearchSpace, damped, require_equations, squared
 from .test_functions import Whitening
+from .threads import one_thread
 from .windows import Windows, cut
 
 
@@ -166,6 +167,7 @@ def required_free_parameters(vehicle: Vehicle) -> tuple[str, ...]:
     )
 
 
+@one_thread()
 def fit_weak(
     vehicle: Vehicle | WeakModel,
     data: WeakData,
@@ -187,6 +189,7 @@ def fit_weak(
     return with_reestimated_noise(_gauss_newton(model, p, data, noise, disturbance))
 
 
+@one_thread()
 def fit_under_noise(
     model: WeakModel,
     data: WeakData,
@@ -212,6 +215,7 @@ def refitted(
     return fit_under_noise(model, fit.data, begin, fit.whitening, fit.disturbance, tolerance=tolerance)
 
 
+@one_thread()
 def fit_weak_by_run(vehicle: Vehicle | WeakModel, data: WeakData) -> WeakFit:
     """Fit like `fit_weak`, with values by run for parameters that differ between the runs.
 
@@ -341,6 +345,7 @@ class InstrumentalSettings:
 INSTRUMENTAL = InstrumentalSettings()
 
 
+@one_thread()
 def fit_instrumental(
     vehicle: Vehicle,
     runs: Sequence[Run],
