@@ -122,6 +122,11 @@ def test_two_propellers_that_only_turn_the_vehicle_leave_open_which_mistake_it_i
     assert f"commands {port} and {starboard} are swapped" in clauses
     assert f"commands {port}, {starboard} are reversed" in clauses
     assert all(c in found.text for c in clauses)
+    swapped = found.mistake.clause
+    other = by_signs(Signs(vehicle, [run(0.0)]), None, lambda: _known(vehicle), lambda m: m.clause != swapped)
+    assert other is not None  # what a fit rejects gives way to the next
+    assert [m.clause for m in (other.mistake, *other.rivals)] == [c for c in clauses if c != swapped]
+    assert swapped not in other.text
     wrong = next(m for m in _known(vehicle) if m.count == 2)
     named = Explanation(wrong, f"{wrong.clause}: undone, much is left", {})
     for given in (None, named):  # whatever a fit found, surge excludes that both are reversed

@@ -367,8 +367,8 @@ class _Examiner:
         if signs is None:
             return found
         possible = cache(lambda: wiring_mistakes(*known))
-        wrong = by_signs(signs, found, possible)
-        if wrong is not None and (found is not None or at.no_worse(wrong.mistake)):
+        wrong = by_signs(signs, found, possible, at.no_worse)
+        if wrong is not None:
             return wrong
         doubt = found or suspected(signs, possible)
         if doubt is not None and at.predicted_better(doubt.mistake):

@@ -261,15 +261,20 @@ def signs_of(vehicle: Vehicle, runs: Sequence[Run]) -> Signs | None:
 
 
 def by_signs(
-    signs: Signs, found: Explanation | None, known: Callable[[], list[Mistake]]
+    signs: Signs,
+    found: Explanation | None,
+    known: Callable[[], list[Mistake]],
+    fits: Callable[[Mistake], bool] = lambda _: True,
 ) -> Explanation | None:
     """What the signs of all commands in all runs say of the wiring that a fit found wrong, if any.
 
     `known` gives the mistakes that may be named. Those that do as well as the one found are named with it;
     what does worse gives way to them. None where the signs as they are do as well: then they are not wrong.
+    Where no fit has found one, only those that `fits` allows are named.
     """
     if found is None:
-        possible = signs.possible(known()) if signs.given.total > SETTINGS.certain**2 else []
+        certain = signs.given.total > SETTINGS.certain**2
+        possible = [*filter(fits, signs.possible(known()))] if certain else []
     else:
         others = known()
         own = [] if any(m.clause == found.mistake.clause for m in others) else [found.mistake]
