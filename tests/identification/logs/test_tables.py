@@ -14,7 +14,7 @@ from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import one_run, read_field_log
-from undertow.identification.logs.mapping import read_mapping
+from undertow.identification.logs.mapping import Column, LogMapping, read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.typing import Array
 
@@ -278,3 +278,35 @@ def test_a_table_of_another_name_is_no_unknown_format(tmp_path: Path) -> None:
     (tmp_path / "notes.47").write_text("a dive\n\nof some length\n")
     with pytest.raises(UndertowError, match="has an unknown format"):
         read_field_log(tmp_path / "notes.47")
+
+
+def test_units_in_cells_and_below_the_names_are_those_of_the_columns(tmp_path: Path) -> None:
+    t = np.arange(0, 40, 0.1)
+    at = _motion(t)
+    pose = {"t": t, "x": 100 * at["x"], "y": 100 * at["y"], "yaw": np.degrees(at["psi"])}
+    texts = {n: [f"{v:.5f}{unit}" for v in pose[n]] for n, unit in (("x", "cm"), ("y", "cm"), ("yaw", "deg"))}
+    pl.DataFrame(pose | texts).write_csv(tmp_path / "pose.csv")
+    rates = np.degrees(at["r"])
+    (tmp_path / "imu.csv").write_text(
+        "\n".join(["t,yaw_rate", "s,deg/s", *(f"{a:.2f},{r:.6f}" for a, r in zip(t, rates, strict=True))])
+    )
+    run = read_log(tmp_path)
+    for name, values in at.items():
+        np.testing.assert_allclose(run.channels[name], values, atol=1e-6)
+    known = {"pose.x": Column(channel="x"), "pose.yaw": Column(channel="psi", unit="rad")}
+    with pytest.raises(UndertowError, match=r"'pose\.yaw' state deg, but the mapping file rad: write unit"):
+        read_log(tmp_path, LogMapping(columns=known))
+    alone = read_log(tmp_path, LogMapping(columns={"pose.x": known["pose.x"]}))
+    np.testing.assert_allclose(alone.channels["x"], at["x"], atol=1e-6)
+
+
+def test_of_the_table_of_a_motor_only_what_can_be_a_command_is_one(tmp_path: Path) -> None:
+    _folder(tmp_path)
+    t = np.arange(0.5, 40, 0.25)
+    swings = {n: 2.0 + np.sin(t + k) for k, n in enumerate(("volts1", "volts2", "mode", "id", "heat [degC]"))}
+    drawn = {"drawn": [f"{2 + v:.3f}A" for v in np.sin(t)]}
+    pl.DataFrame({"t_ns": _whole(t), **_thrust(t), **swings, **drawn}).write_csv(tmp_path / "motors.csv")
+    guessed = first_mapping(one_run([tmp_path]))
+    assert {g.channel for g in guessed.columns} - {"x", "y", "psi", "r", "phi", "theta"} == {
+        f"motors.{name}" for name in COMMANDS
+    }

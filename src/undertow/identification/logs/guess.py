@@ -43,7 +43,6 @@ from .guess_names import (
     attitude_beside,
     is_clock,
     is_force,
-    known_unit,
     latitude_and_longitude,
     part_of_quaternion,
     rows_by_number,
@@ -51,10 +50,10 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, no_degrees, two_places
-from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, whole_table
+from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, unit_in, whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS, without_jumps
-from .table import joined_rows, texts_in, unit_of_cells
+from .table import joined_rows, texts_in
 
 
 @dataclass(frozen=True)
@@ -99,12 +98,13 @@ def guess_table(
     vehicle: Vehicle | None = None,
     reading: LogMapping | None = None,
     clock: Guess | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> GuessedMapping:
     """Guess what the columns of a table, or of its first rows, mean.
 
     Columns are assigned to the motions, commands and inputs of the vehicle; without one to all motions, and
     those that look like a command keep their names. `reading` is the format of the text of the table, `clock`
-    its time where that is known.
+    its time and `units` those of columns where they are known.
     """
     reading, table = reading or LogMapping(), table if clock else _with_one_row_per_time(table)
     data = {
@@ -117,7 +117,7 @@ def guess_table(
     named = quaternions_in(data)
     unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
     rotation = {time.column, *chain(*named, unnamed), *(c for c in data if part_of_quaternion(c, data))}
-    plain = [_name(table, c, reading) for c in data if c not in rotation]
+    plain = [_name(table, c, reading, units or {}) for c in data if c not in rotation]
     names = with_sides(with_axes(plain))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
@@ -310,12 +310,10 @@ def _heading(
     return unit_of_heading(data[name.column], {**place, **plain}, t) or _unit("psi", data[name.column])[0]
 
 
-def _name(table: pl.DataFrame, column: str, reading: LogMapping) -> Name:
-    """The name of a column, with the unit that its cells state if it states none itself."""
+def _name(table: pl.DataFrame, column: str, reading: LogMapping, units: Mapping[str, str]) -> Name:
+    """The name of a column, with the unit known or stated by its cells if it states none itself."""
     name = Name.of(column)
-    below = texts_in(table, column, reading)[:1]  # a line of units below the names
-    stated = (unit_of_cells(table, column, reading), *(text.strip().strip("[]()") for text in below))
-    return name if name.unit else replace(name, unit=next(filter(None, map(known_unit, stated)), ""))
+    return name if name.unit else replace(name, unit=units.get(column) or unit_in(table, column, reading))
 
 
 # Attitude and depth of a vehicle may be constant; another motion that is constant was not measured.

@@ -34,7 +34,7 @@ _NO_COMMANDS = {*_LENGTHS, *_SPEEDS, "deg/s", "deg/min", "m/s^2"}
 # Units of quantities other than motions and commands; in brackets alone: "w" is a heave velocity.
 _OTHERS = {
     "w": "W", "kw": "kW", "mw": "MW", "hp": "hp", "a": "A", "ma": "mA", "ah": "Ah", "mah": "mAh",
-    "pa": "Pa", "bar": "bar",
+    "pa": "Pa", "bar": "bar", "c": "degC", "°c": "degC", "degc": "degC", "celsius": "degC",
 }  # fmt: skip
 _PLACES = {
     "x": 0, "n": 0, "north": 0, "northing": 0, "y": 1, "e": 1, "east": 1, "easting": 1,
@@ -84,8 +84,11 @@ _DRIVES = {
 }  # fmt: skip
 ANGLES = {"rudder", "delta", "fin", "azimuth", "angle"}
 """Words of commands that are angles."""
-# Consumption and temperature of a motor are no commands.
-_CONSUMED = {"voltage", "current", "power", "battery", "charge", "temp", "temperature", "error", "status"}
+# Consumption, temperature and state of a motor are no commands.
+_CONSUMED = {
+    "voltage", "volt", "current", "amp", "ampere", "power", "watt", "energy", "battery", "charge", "temp",
+    "temperature", "error", "fault", "status", "state", "mode", "id", "count", "counter",
+}  # fmt: skip
 _HEADER = {"header", "seq", "covariance", "status"}
 _CONTAINERS = {"data", "value", "input", "output", "out", "control", "controller", "actuator"}
 # What moves is not the vehicle, or what is measured is no motion.
@@ -195,7 +198,7 @@ class Name:
         compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
         words = _with_dots([part for w, m in compounds for part in (filter(None, m.groups()) if m else (w,))])
         if bracket is not None:
-            return cls(column, tuple(words), known_unit(bracket[1]) or _OTHERS.get(bracket[1].lower(), ""))
+            return cls(column, tuple(words), stated_unit(bracket[1]))
         for length in (2, 1):
             unit = _UNITS.get(" ".join(words[-length:]), "")
             speed = unit == "N" and {"v", *_OF_SPEED} & {*words}  # to the north: none is counted in newtons
@@ -413,8 +416,9 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        other = {"limit", *_CONSUMED} & {*self.words} or self.unit in _OTHERS.values()
-        return drives and not other and not self.of_header
+        other = {"limit", *_CONSUMED} & {*self.unnumbered, *single}
+        counts = self.unit in {"", "V", "N m", "kN m", *_COUNTS}
+        return drives and counts and not other and not self.of_header
 
     @property
     def unnumbered(self) -> list[str]:
@@ -423,8 +427,13 @@ class Name:
 
 
 def known_unit(text: str) -> str:
-    """The unit that a text in a name or in the cells of a column stands for; "" for none."""
+    """The unit that a text at the end of a name stands for; "" for none."""
     return _UNITS.get(" ".join(_no_knots(text).lower().replace("_", " ").split()), "")
+
+
+def stated_unit(text: str) -> str:
+    """The unit that a text alone stands for, also of other quantities than motions and commands."""
+    return known_unit(text) or _OTHERS.get(text.lower(), "")
 
 
 def with_axes(names: Sequence[Name]) -> list[Name]:

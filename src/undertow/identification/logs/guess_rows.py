@@ -19,7 +19,7 @@ from undertow.typing import Array, Flags
 
 from .cells import DIGITS_OF_DAY, with_points
 from .guess_frames import Guess
-from .guess_names import is_clock, unit_of_clock
+from .guess_names import is_clock, stated_unit, unit_of_clock
 from .mapping import SECONDS, LogMapping, metres_per_degree, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import (
@@ -34,6 +34,7 @@ from .table import (
     read_table,
     seconds,
     texts_in,
+    unit_of_cells,
 )
 
 
@@ -444,3 +445,10 @@ def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | N
     except UndertowError:
         return None
     return values if len(texts_in(table, name, reading)) <= np.count_nonzero(np.isfinite(values)) else None
+
+
+def unit_in(table: pl.DataFrame, name: str, reading: LogMapping) -> str:
+    """The unit that the cells of a column state, or a line of units below the names; "" for none."""
+    below = texts_in(table, name, reading)[:1]
+    stated = (unit_of_cells(table, name, reading), *(text.strip().strip("[]()") for text in below))
+    return next(filter(None, map(stated_unit, stated)), "")

@@ -30,6 +30,7 @@ from .table import (
     Origin,
     elapsed,
     file_bytes,
+    in_unit_of_cells,
     is_dates,
     lacking_zeros,
     numbers,
@@ -288,6 +289,9 @@ def opened_field_log(
     if mapping is None:
         _refuse_unmatched_motors(log, meaning, commands)
     low, high = (None if edge is None else edge - meaning.time.offset for edge in window)
+    stated, where = log.units if log.by_name else {}, f"log {log.path}"
+    columns = {n: in_unit_of_cells(stated.get(n, ""), n, c, where) for n, c in meaning.columns.items()}
+    meaning = meaning.model_copy(update={"columns": columns})
     required = meaning.required(commands)
     there = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
     table = log.table(columns_read(meaning.model_copy(update={"columns": there})), (low, high))

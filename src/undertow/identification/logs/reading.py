@@ -29,6 +29,7 @@ from undertow.identification.logs.table import (
     joined_rows,
     numbers,
     taken_as_missing,
+    unit_of_cells,
 )
 from undertow.model.catalogue import catalogue, logged_quantities
 from undertow.model.symbols import DOFS, FORCE, FORCE_UNITS, MOTION_UNITS, POSE, VELOCITY
@@ -287,7 +288,8 @@ def run_of_table(
     commands = list(dict.fromkeys([*channels, *(name for name in also if name in there)]))
     policy = missing_commands or mapping.missing_commands
     sources, rows = _sources(table.columns, mapping, commands, where), table.height
-    sources = {n: in_unit_of_cells(table, n, c, mapping, where) for n, c in sources.items()}
+    stated = {n: unit_of_cells(table, n, mapping) for n in sources}
+    sources = {n: in_unit_of_cells(stated[n], n, c, where) for n, c in sources.items()}
     stated_disturbance(mapping, where)  # refuses a unit that does not fit
     lost = [*taken_as_missing(table, sources, mapping), *signed_by_letters(table)]
     table, t, notes = _time(table, mapping, where, origin)

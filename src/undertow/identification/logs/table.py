@@ -537,11 +537,8 @@ def unit_of_cells(table: pl.DataFrame, name: str, mapping: LogMapping) -> str:
     return _unit_of(with_signs(_stripped(_with_points(column, mapping))))
 
 
-def in_unit_of_cells(
-    table: pl.DataFrame, name: str, column: Column, mapping: LogMapping, where: str
-) -> Column:
-    """The column in the unit that its cells state; another one in the mapping file is refused."""
-    unit = unit_of_cells(table, name, mapping)
+def in_unit_of_cells(unit: str, name: str, column: Column, where: str) -> Column:
+    """The column in the `unit` that its cells state; another one in the mapping file is refused."""
     if not unit or column.unit is None:
         return column.model_copy(update={"unit": unit}) if unit else column
     if not same_unit(unit, column.unit):

@@ -93,7 +93,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
     moves = {*vehicle.pose_names, *vehicle.velocity_names} if vehicle else MEASURED
     if log.by_name or not MEASURED & moves & {guess.channel for guess in known}:
-        return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK)
+        return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK, log.units)
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]

@@ -229,6 +229,12 @@ class FieldLog:
         """Names of all columns, which join those of a series and of its column."""
         return [f"{s.name}.{column}" for s in self.series.values() for column in s.columns]
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units that the file states, by name of the column."""
+        every = self.series.values()
+        return {f"{s.name}.{c}": unit for s in every for c, unit in s.units.items() if c in s.columns}
+
     def _series_and_column(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
         for series in self.series:  # either may have points in it

@@ -27,6 +27,7 @@ from undertow.identification.logs.guess_rows import (
     halves_of_stamps,
     numbers_of,
     unit_by_steps,
+    unit_in,
     whole_table,
     with_nanoseconds,
 )
@@ -88,7 +89,7 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
 
 def _guessed(log: FieldLog) -> FieldLog:
     """The log with the meaning of its columns guessed from their names, commands apart from motions."""
-    guess = guess_table(log.beginning(), log.path, None, HELD, CLOCK)
+    guess = guess_table(log.beginning(), log.path, None, HELD, CLOCK, log.units)
     meaning = guess.meaning
     driving = [n for n, column in meaning.columns.items() if column.channel not in UNITS]
     columns = {n: column for n, column in meaning.columns.items() if n not in driving}
@@ -116,21 +117,22 @@ def _series(file: Path, name: str) -> tuple[Series, list[str]]:
     """A table on its own clock, and notes on time stamps that are read otherwise than written."""
     table, reading = whole_table(file)
     data = {c: values for c in table.columns if (values := numbers_of(table, c, reading)) is not None}
+    units = {c: unit for c in data if (unit := unit_in(table, c, reading))}
     stamps, parts = _stamps(data)
     try:
         clock = clock_of(table, data, f"log {file}")
     except UndertowError:
         if stamps is None:
             raise
-        return Series(name, stamps, _without(data, parts)), []
+        return Series(name, stamps, _without(data, parts), units), []
     t = absolute_times(table, data, clock, f"log {file}")
     if stamps is not None:
         # The recording may count in local time, as the other tables of the run do.
         late = float(np.nanmedian(t - stamps))
         zone = SETTINGS.quarter * round(late / SETTINGS.quarter)
         if abs(late - zone) < UNION.apart:
-            return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)})), []
-    return Series(name, t, _without(data, columns_of(clock))), lacking_zeros(table, clock.column)
+            return Series(name, stamps + zone, _without(data, {*parts, *columns_of(clock)}), units), []
+    return Series(name, t, _without(data, columns_of(clock)), units), lacking_zeros(table, clock.column)
 
 
 def _without(data: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array]:
