@@ -21,6 +21,7 @@ from undertow.identification.logs.reading import in_vehicle_units, read_log
 from undertow.identification.logs.run import Run
 from undertow.model.catalogue import catalogue
 from undertow.model.loading import VehicleTable, load_vehicle, vehicle_from_table
+from undertow.typing import Array
 
 from .bad import SURGE, text_of
 
@@ -1372,3 +1373,49 @@ def test_the_volume_that_a_glider_pumps_is_its_net_buoyancy(tmp_path: Path) -> N
     run = _read_by(found, tmp_path / "own.csv", channels=["B_net"])
     np.testing.assert_allclose(run.channels["B_net"], 1025 * 9.816 * 1e-6 * volume, rtol=1e-5)
     assert "B_net" not in {g.channel for g in guess_mapping(tmp_path / "own.csv", glider).columns}
+
+
+def _turning(**units: float) -> dict[str, Array]:
+    """A boat that rolls and turns; angles and rates in so many of their unit to one of SI."""
+    t = np.arange(0.0, 120.0, 0.1)
+    roll, rolling = 0.05 * np.sin(0.7 * t), 0.035 * np.cos(0.7 * t)
+    columns = {"t": t, "yaw": 1.2 * np.sin(0.1 * t), "roll": roll, "p": rolling, "r": 0.12 * np.cos(0.1 * t)}
+    return {name: units.get(name, 1.0) * values for name, values in columns.items()}
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1.0, "rad/s"), (180 / np.pi, "deg/s")])
+def test_a_roll_rate_has_the_unit_in_which_roll_changes(size: float, unit: str) -> None:
+    in_degrees = _turning(p=size, roll=180 / np.pi, yaw=180 / np.pi)
+    found = {g.channel: g for g in guess_table(pl.DataFrame(in_degrees), Path("own.csv")).columns}
+    assert (found["p"].entry["unit"], found["p"].doubt) == (unit, "")
+    assert found["r"].entry["unit"] == "rad/s", "that of the heading, whatever p is in"
+
+
+def test_a_roll_rate_is_asked_about_where_roll_may_be_in_either_unit() -> None:
+    alike = {"roll": 5.0, "p": 5.0}  # of 0.25 radians, or of a quarter of a degree
+    found = {g.channel: g for g in guess_table(pl.DataFrame(_turning(**alike)), Path("own.csv")).columns}
+    assert "rad/s, or slow turns in deg/s?" in found["p"].doubt
+    for size, unit, doubt in (
+        (20.0, "rad/s", "rad/s, or slow"),
+        (57.3, "deg/s", "would turn the vehicle over"),
+    ):
+        table = pl.DataFrame(_turning(p=size)).drop("roll")  # to and fro by 57 or by 164 of its degrees
+        alone = {g.channel: g for g in guess_table(table, Path("own.csv")).columns}
+        assert alone["p"].entry["unit"] == unit
+        assert doubt in alone["p"].doubt
+
+
+def test_names_of_trials_of_ships_are_known() -> None:
+    t = np.arange(0.0, 120.0, 0.1)
+    place = {
+        "Xg": 3.0 * t,
+        "Yg": 20.0 * np.sin(0.1 * t),
+        "Fi": 2.0 * np.sin(t),
+        "Psi": 30.0 * np.cos(0.1 * t),
+    }
+    driven = {"Del": 20.0 * np.sin(0.1 * t), "Azimuth1": 9.0 * np.sin(t), "RPM": 90.0 + np.sin(t)}
+    found = guess_table(pl.DataFrame({"Time": t} | place | driven), Path("own.csv"))
+    by_column = {g.column: g.channel for g in found.columns}
+    assert by_column == {"Xg": "x", "Yg": "y", "Fi": "phi", "Psi": "psi"} | {n: n for n in driven}
+    alone = guess_table(pl.DataFrame({"Time": t, "Azimuth1": t**2, "imu.xg": t} | place), Path("own.csv"))
+    assert {g.column for g in alone.columns} == {*place}, "an azimuth without revolutions may be a bearing"

@@ -29,7 +29,6 @@ from .guess_frames import (
     is_flag,
     place_of,
     quaternions_in,
-    rate_of_heading,
     unit_of_heading,
     unit_of_place,
     unnamed_quaternion,
@@ -37,7 +36,6 @@ from .guess_frames import (
 from .guess_names import (
     ANGLES,
     DISTANCES,
-    RATES,
     WANTED,
     Name,
     attitude_beside,
@@ -47,9 +45,11 @@ from .guess_names import (
     part_of_quaternion,
     rows_by_number,
     with_axes,
+    with_azimuths,
     with_sides,
 )
 from .guess_places import fixes_in, no_degrees, two_places
+from .guess_rates import STILL, with_common_units, with_rates
 from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, unit_in, whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS, without_jumps
@@ -64,7 +64,6 @@ class GuessSettings:
     turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
     spin: float = 6.0  # a turning rate beyond this is in degrees: one turn a second is the most in water
-    still: float = 7e-5  # no turning rate stays below that of the earth, rad/s
     repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
     flagged: float = 0.9  # share of new values that a flag must announce
     beyond: float = 1.5  # largest normalised command that may be one of the thruster's curve
@@ -118,7 +117,7 @@ def guess_table(
     unnamed = () if named else unnamed_quaternion({n: c for n, c in data.items() if n != time.column})
     rotation = {time.column, *chain(*named, unnamed), *(c for c in data if part_of_quaternion(c, data))}
     plain = [_name(table, c, reading, units or {}) for c in data if c not in rotation]
-    names = with_sides(with_axes(plain))
+    names = with_azimuths(with_sides(with_axes(plain)))
     only = vehicle.dof_indices[0] if vehicle and len(vehicle.dof_indices) == 1 else None
     dead = {n.column for n in names if _is_dead(data[n.column])}
     full = [n for n in names if np.isfinite(data[n.column]).any()]
@@ -139,7 +138,7 @@ def guess_table(
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {"psi": without_jumps(t, known["psi"])} if "psi" in known else {}
     axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
-    read = _rates_by_heading(read, names, data, (t, (known | attitude).get("psi")), axes)
+    read = with_rates(read, names, data, (t, known | attitude), axes)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _by_fixes(globe, place, data, flags, letters_beside(table))
     read = [in_axes(g, axes) for g in read if vehicle is None or g.channel in _channels(vehicle, axes)]
@@ -255,7 +254,6 @@ _FLAG = (
 )
 
 
-_AGAINST = "its sign is reversed here, so that it is the rate of the heading in these axes: is that right?"
 _BETTER = "another column looks more like the measurement"
 _UNNAMED = "squares sum to one: read as quaternion w, x, y, z in the order written here: is that right?"
 _PUMPED = "B_net: weight of the water displaced, if this is in cm^3 and grows to rise: is it, and does it?"
@@ -405,7 +403,7 @@ def _motions(
     heading = _heading(motion, data, t, place)
     read = [_motion(channel, name, data, flags) for channel, name in motion.items()]
     read = [replace(g, entry={**g.entry, "unit": heading}) if g.channel == "psi" else g for g in read]
-    return _with_common_units(read, names)
+    return with_common_units(read, names)
 
 
 def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[str, Array]) -> Guess:
@@ -470,7 +468,7 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
         if most > SETTINGS.spin:
             return "deg/s", ""
         still = "less than the earth's rotation; if it measures nothing, leave it out"
-        doubt = still if most < SETTINGS.still else "rad/s, or slow turns in deg/s?"
+        doubt = still if most < STILL else "rad/s, or slow turns in deg/s?"
         return "rad/s", f"never beyond {most:.2g}: {doubt}"
     unit = UNITS[channel]
     return unit, f"no unit in the name: is it in {unit}?"
@@ -495,60 +493,6 @@ def _fresh(name: Name, values: Array, flags: Mapping[str, Array]) -> str:
     usual = np.median(gaps)
     # Values of low resolution change at irregular intervals.
     return name.column if np.mean(np.abs(gaps - usual) <= 1) > SETTINGS.flagged and usual > 1 else ""
-
-
-def _rates_by_heading(
-    read: list[Guess],
-    names: Sequence[Name],
-    data: Mapping[str, Array],
-    heading: tuple[Array, Array | None],
-    axes: Axes,
-) -> list[Guess]:
-    """The guesses with column, unit and sign of the yaw rate as the heading changes (times, rad)."""
-    guessed, (t, psi) = next((g.column for g in read if g.channel == "r"), ""), heading
-    if psi is None or len(t) == 0 or not guessed:
-        return read
-    turning = {n.column: data[n.column] for n in names if n.motion() in VELOCITY[3:]}
-    rates = {n: c for n, c in turning.items() if np.nanmax(np.abs(c), initial=0.0) >= SETTINGS.still}
-    own = {n: c for n, c in rates.items() if n == guessed}
-    column, factor = rate_of_heading(psi, own, t)
-    if not column:
-        column, factor = rate_of_heading(psi, rates, t)
-    if not column:
-        return read
-    # Where axes of the body and of the attitude differ in hand, turns to starboard count the other way.
-    attitude, body = axes.entry.get("attitude", axes.entry["position"]), axes.entry["body"]
-    against = (factor < 0) != ((attitude == "NED") != (body == "FRD"))
-    unit = min(RATES, key=lambda u: abs(np.log(abs(factor) / scale_offset(u, "rad/s")[0])))
-    entry = {"channel": "r", "unit": unit} | ({"scale": -1} if against else {})
-    kept = []
-    for guess in read:
-        if guess.channel == "r":
-            other = f"the heading changes like '{column}', not like '{guess.column}': which is the yaw rate?"
-            asked = [other] * (column != guess.column) + [_AGAINST] * against
-            guess = Guess(column, entry, " ".join(asked))
-        kept.append(guess)
-    kept = [g for g in kept if g.channel == "r" or g.column != column]
-    return _with_common_units(kept, names)
-
-
-def _with_common_units(read: Sequence[Guess], names: Sequence[Name]) -> list[Guess]:
-    """The guesses with one unit for the angles of a vector, and one for its rates: degrees if any is."""
-    # A small roll alone may be in either unit; with a heading in degrees from the same sensor it is in
-    # degrees.
-    unstated = {n.column: n.stem for n in names if not n.unit}
-    kinds = {c: 0 for c in POSE[3:]} | {c: 1 for c in VELOCITY[3:]}
-    degrees = {
-        (unstated[g.column], kinds[g.channel]): g.entry["unit"]
-        for g in read
-        if g.column in unstated and g.channel in kinds and g.entry["unit"] in ("deg", "deg/s")
-    }
-    found = []
-    for guess in read:
-        unit = degrees.get((unstated.get(guess.column, ()), kinds.get(guess.channel, -1)))
-        alike = unit is not None and guess.entry["unit"] != unit
-        found.append(replace(guess, entry={**guess.entry, "unit": unit}, doubt="") if alike else guess)
-    return found
 
 
 def _factor(guess: Guess) -> float:

@@ -25,8 +25,6 @@ class FrameSettings:
     agrees: float = 0.5  # share of the motion that may be unexplained where axes agree
     clearly: float = 0.6  # that share of the best, over that of the next best, at most
     jump: float = 0.2  # share of a turn by which a jump of the heading may differ from it
-    correlation_limit: float = 0.9  # correlation of a rate with the change of the heading
-    fewest: int = 20  # rows with both that show it
     many_units: float = 1e6  # latitude beyond which it counts 1e-7 degrees
     # Latitude or longitude below which a place is near zero and zero, where simulators put theirs: whether
     # it is in radians or in degrees cannot be told.
@@ -107,10 +105,10 @@ def _unexplained_shares(seconds: float, t: Array, channels: Mapping[str, Array])
     zero = np.zeros_like(t)
     known = np.array([t, *(channels.get(name, zero) for name in ("x", "y", "psi", "u", "v"))])
     t, x, y, psi, u, v = known[:, np.all(np.isfinite(known), axis=0)]
-    step = _rows_in(seconds, t)
+    step = rows_in(seconds, t)
     if len(t) <= 2 * step:
         return {}
-    motion = np.sqrt(np.mean(_change(x, step) ** 2 + _change(y, step) ** 2))
+    motion = np.sqrt(np.mean(change(x, step) ** 2 + change(y, step) ** 2))
     found = {}
     for name, (_, (swapped, port, earth, east)) in _ENTRIES.items():
         if port and "v" not in channels:  # the same as without
@@ -118,8 +116,8 @@ def _unexplained_shares(seconds: float, t: Array, channels: Mapping[str, Array])
         side = -v if port else v
         ahead = v + 1j * u if east else u + 1j * side
         across = 1.0 if earth else np.exp(1j * psi)
-        by_velocity = _change(_summed(ahead * across, t), step)
-        by_position = _change(y + 1j * x if swapped else x + 1j * y, step)
+        by_velocity = change(summed(ahead * across, t), step)
+        by_position = change(y + 1j * x if swapped else x + 1j * y, step)
         found[name] = float(np.sqrt(np.mean(np.abs(by_position - by_velocity) ** 2)) / max(motion, 1e-12))
     return found
 
@@ -144,34 +142,17 @@ def unit_of_heading(psi: Array, channels: Mapping[str, Array], t: Array) -> str:
     return best if left[best] < SETTINGS.clearly * left[other] else ""
 
 
-def _rows_in(seconds: float, t: Array) -> int:
+def rows_in(seconds: float, t: Array) -> int:
     """Number of rows in a time."""
     return max(1, round(seconds / max(float(np.median(np.diff(t))), 1e-9))) if len(t) > 1 else 1
 
 
-def _change(values: Any, step: int) -> Any:
+def change(values: Any, step: int) -> Any:
     return values[step:] - values[:-step]
 
 
-def _summed(rate: Any, t: Array) -> Any:
+def summed(rate: Any, t: Array) -> Any:
     return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
-
-
-def rate_of_heading(psi: Array, rates: Mapping[str, Array], t: Array) -> tuple[str, float]:
-    """The column of the derivative of the heading, and rad/s in one of its units; ("", 1) for none."""
-    found, best = ("", 1.0), SETTINGS.correlation_limit
-    for name, rate in rates.items():
-        finite = np.isfinite(psi) & np.isfinite(rate) & np.isfinite(t)
-        if finite.sum() < SETTINGS.fewest or np.ptp(rate[finite]) == 0.0:
-            continue
-        step = _rows_in(SETTINGS.over[0], t[finite])
-        turned = _change(np.unwrap(psi[finite]), step)
-        expected = _change(_summed(rate[finite], t[finite]), step)
-        size = float(np.sum(expected**2) * np.sum(turned**2)) ** 0.5
-        correlation = abs(float(np.sum(expected * turned))) / size if size > 0 else 0.0
-        if correlation > best:
-            best, found = correlation, (name, float(np.sum(expected * turned) / np.sum(expected**2)))
-    return found
 
 
 # --- places on the globe ---------------------------------------------------------------------------

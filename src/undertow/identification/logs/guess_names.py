@@ -44,8 +44,8 @@ _PLACES = {
 _EARTH = {"n": 0, "north": 0, "e": 1, "east": 1, "d": 2, "down": 2, "up": 2}
 _EARTH_SPEEDS = {"vn": 0, "ve": 1, "vd": 2, "vu": 2}
 _TURNS = {
-    "phi": 0, "roll": 0, "heel": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2, "hdg": 2,
-    "compass": 2, "cap": 2,
+    "phi": 0, "fi": 0, "roll": 0, "heel": 0, "theta": 1, "pitch": 1, "psi": 2, "yaw": 2, "heading": 2,
+    "hdg": 2, "compass": 2, "cap": 2,
 }  # fmt: skip
 _MOVES = {
     "u": 0, "vx": 0, "surge": 0, "v": 1, "vy": 1, "sway": 1, "w": 2, "vz": 2, "heave": 2,
@@ -57,7 +57,7 @@ _MOVES = {
 _SIDEWAYS = {
     "forward": 0, "fwd": 0, "ahead": 0, "left": 1, "port": 1, "right": 1, "starboard": 1, "stbd": 1,
 }  # fmt: skip
-_SOG = {"sog", "over", "ground"}
+_SOG = {"sog", "over", "ground", "vs"}
 _STW = {"stw", "through", "water"}
 _NAMED = {"surge", "sway", "heave"}
 _OF_TURN = {"orientation", "attitude", "rpy", "euler"}
@@ -79,10 +79,10 @@ _PLAIN = {
     "ned",
 }  # fmt: skip
 _DRIVES = {
-    "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "fin", "prop",
-    "rev", "propeller", "motor", "throttle", "esc", "tau",
+    "cmd", "command", "thruster", "thrust", "thr", "rpm", "pwm", "servo", "rudder", "delta", "del", "fin",
+    "prop", "rev", "propeller", "motor", "throttle", "esc", "tau",
 }  # fmt: skip
-ANGLES = {"rudder", "delta", "fin", "azimuth", "angle"}
+ANGLES = {"rudder", "delta", "del", "fin", "azimuth", "azi", "angle"}
 """Words of commands that are angles."""
 # Consumption, temperature and state of a motor are no commands.
 _CONSUMED = {
@@ -106,7 +106,8 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 _LETTERED = {f"{kind}{axis}": 3 * (kind != "f") + i for kind in "fmt" for axis, i in _AXES.items()}
 # Other words for those of a command, the likeliest first.
 _ALSO = {
-    "rudder": ("delta", "rud"),
+    "rudder": ("delta", "rud", "del"),
+    "azimuth": ("azi",),
     "prop": ("propeller", "thrust", "rpm", "rev"),
     "propeller": ("prop", "rpm", "rev", "thrust"),
     "port": ("ps", "left"),
@@ -193,7 +194,8 @@ class Name:
         bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
         rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
         words = words_of(rest)
-        words = [w[:-1] if re.fullmatch("[xyz]0", w) else w for w in words]  # of earth-fixed axes
+        fixed = "[xyz][0g]" if len(words) == 1 else "[xyz]0"  # to the earth; beside other words g is a gyro
+        words = [w[:-1] if re.fullmatch(fixed, w) else w for w in words]
         words = re.sub(r"\brate of turn\b", "rot", " ".join(words)).split()
         compounds = ((w, re.fullmatch(_RUN_TOGETHER, w)) for w in words)
         words = _with_dots([part for w, m in compounds for part in (filter(None, m.groups()) if m else (w,))])
@@ -247,7 +249,7 @@ class Name:
             *_RANK,
             *(_STW if self.is_through_water else _SOG),
         }
-        is_speed = bool(words & {"speed", "spd", "velocity", "vel", "sog", "stw"}) and not others
+        is_speed = bool(words & {"speed", "spd", "velocity", "vel", "sog", "stw", "vs"}) and not others
         return is_speed and self.unit in {"", *_SPEEDS}
 
     @property
@@ -470,6 +472,13 @@ def with_sides(names: Sequence[Name]) -> list[Name]:
     # u is the input of a control loop then: a vehicle has one speed ahead, and not one for each side.
     there = {name.words for name in names}
     return [_sided(name, there) for name in names]
+
+
+def with_azimuths(names: Sequence[Name]) -> list[Name]:
+    """The names, with azimuths as commands beside revolutions: alone they may be those of anything."""
+    turning = any(n.is_command and n.counts == "rev/s" for n in names)
+    own = [n for n in names if turning and {*n.unnumbered} & {"azimuth", "azi"} and n.unit in {"", *_ANGLES}]
+    return [replace(n, words=(*n.words, "cmd")) if n in own else n for n in names]
 
 
 _SIDES = {"l": ("r", "left"), "r": ("l", "right")}
