@@ -16,6 +16,7 @@ from undertow.identification.logs.formats.fieldlog import format_of, read_field_
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log, read_logs
 from undertow.model.loading import load_vehicle
+from undertow.typing import Array
 
 from .dive import Dive, dive
 from .written import assert_the_dive, cut_off, mat, mat73
@@ -249,15 +250,46 @@ def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:
         read_field_log(_written(tmp_path, {"tc": cells, "heading": cells}))
 
 
-@pytest.mark.parametrize(("later", "noted"), [(100.0, True), (0.0, False)])
-def test_structs_with_the_same_motions_at_different_times_are_noted_as_runs(
-    tmp_path: Path, later: float, *, noted: bool
-) -> None:
-    """At the same times they may be two sensors."""
-    t = np.arange(30.0)
-    runs = {f"tack{k}": {"t": t + later * k, "yaw": np.sin(t + k)} for k in (1, 2, 3)}
-    notes = " ".join(read_field_log(_written(tmp_path, runs)).notes)
-    assert ("tack1 to tack3 have the same columns at different times: separate runs" in notes) is noted
+def _run(begin: float, duration: float, phase: float) -> dict[str, Array]:
+    """A boat on its way, with the commands of an otter."""
+    t = np.arange(0.0, duration, 0.1)
+    yaw = 1.2 * np.sin(0.1 * t + phase)
+    track = {"x": np.cumsum(0.2 * np.cos(yaw)), "y": np.cumsum(0.2 * np.sin(yaw)), "yaw": yaw}
+    track |= {"u": np.full(len(t), 2.0), "v": 0.0 * t, "r": 0.12 * np.cos(0.1 * t + phase)}
+    return {"t": begin + t, **track, "port": 9.0 + np.sin(t + phase), "starboard": 9.0 - np.sin(t)}
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [
+        {f"tack{k}": _run(100.0 * k, 60.0, k) for k in (1, 2)},
+        {f"tack{k}": _run(0.0, 60.0, k) for k in (1, 2)},
+        {"zigzag": _run(0.0, 40.0, 0.0), "turning": _run(0.0, 60.0, 1.0)},
+        {"trials": np.array([_run(0.0, 60.0, 0.0), _run(0.0, 60.0, 1.0)])},
+    ],
+    ids=["later", "from zero", "of other names", "elements"],
+)
+def test_runs_in_structs_are_logs_of_their_own(tmp_path: Path, runs: dict[str, Any]) -> None:
+    path = _written(tmp_path, runs)
+    assert "runs with the same columns, each used as a log of its own" in " ".join(read_field_log(path).notes)
+    read = read_logs([path], load_vehicle("otter"))
+    given = [one for run in runs.values() for one in np.atleast_1d(run)]
+    assert len(read) == len(given) == 2
+    for one, run in zip(sorted(read, key=lambda r: r.name), given, strict=True):
+        assert np.ptp(one.t) == pytest.approx(np.ptp(run["t"]))
+        for name, column in (("x", "x"), ("psi", "yaw"), ("port", "port")):
+            np.testing.assert_allclose(one.channels[name], run[column], atol=1e-9)
+    mapping = first_mapping(read_field_log(path), load_vehicle("otter"))
+    assert mapping.time.entry["stretch"] == "stretch"
+    assert mapping.axes.entry["position"] == "NED", "by the motion in one run, and not from one to the next"
+
+
+def test_structs_with_the_same_motion_at_the_same_times_are_sensors(tmp_path: Path) -> None:
+    t, noise = np.arange(0.0, 30.0, 0.1), np.random.default_rng(3)
+    both = {f"imu{k}": {"t": t, "yaw": np.sin(t) + 0.1 * noise.normal(size=len(t))} for k in (1, 2)}
+    log = read_field_log(_written(tmp_path, both))
+    assert (*log.series,) == ("imu1", "imu2")
+    assert "imu1 is read, not imu2 of the same columns" in " ".join(log.remarks)
 
 
 def test_a_file_without_time_is_refused_with_its_names(tmp_path: Path) -> None:

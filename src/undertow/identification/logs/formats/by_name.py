@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence, Set
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from undertow.errors import UndertowError
+from undertow.errors import UndertowError, listed
 from undertow.identification.logs.guess import SETTINGS, guess_table, in_axes, no_column, without_motion
 from undertow.identification.logs.guess_frames import Axes, Guess, GuessedMapping
 from undertow.identification.logs.guess_names import DISTANCES, Name, rows_by_number, with_axes
@@ -20,10 +22,22 @@ from undertow.model.symbols import POSE, VELOCITY
 from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
-from .fieldlog import HELD, TIME, FieldLog, Series
+from .fieldlog import HELD, STRETCH, TIME, FieldLog, Interval, Series, longest
 
 CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
 """The clock of the table of a log."""
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What tells runs in one file from sensors, and how they are joined."""
+
+    as_long: float = 0.95  # runs that differ in length by more than the rest are no sensors of one run
+    alike: float = 0.5  # what differs in a motion that two sensors measure, over that motion, at most
+    pause: float = 10.0  # s between runs that are put one after the other
+
+
+RUNS = RunSettings()
 
 _TIME = "time [s]"
 # Names of matrices, and of their columns; MSS (Fossen) calls pose eta and velocity nu.
@@ -34,8 +48,13 @@ LINEAR = {"pos", "position", "vel", "velocity", "acc", "acceleration", "gyro", "
 Meaning = tuple[LogMapping, tuple[tuple[str, Column], ...], list[str]]
 
 
-def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | None = None) -> Meaning:
-    """Guess a mapping and the commands of series, with questions.
+def guessed(
+    path: Path,
+    series: Sequence[Series],
+    known: Mapping[str, Column] | None = None,
+    intervals: Sequence[Interval] = (),
+) -> Meaning:
+    """Guess a mapping and the commands of series, with questions, by the longest of the intervals.
 
     Series with most of the motion take precedence. No channel is guessed that is known already (`known`, by
     ``series.column``).
@@ -43,9 +62,12 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     columns, notes, frames = dict(known or {}), [], Frames()
     taken = {column.channel for column in columns.values()}
     driving: list[str] = []
-    found = [(one, _guess(path, one)) for one in series if len(one.t) > 1]
+    found = [(one, _guess(path, _within(one, intervals))) for one in series if len(one.t) > 1]
     found.sort(key=lambda pair: -sum(guess.channel in UNITS for guess in pair[1].columns))
-    for number, (one, guess) in enumerate(found):
+    same = [o.name for o, _ in found[1:] if has_motion(o) and {*o.columns} == {*found[0][0].columns}]
+    if same:
+        notes.append(f"{found[0][0].name} is read, not {listed(same)} of the same columns: are they sensors?")
+    for number, (one, guess) in enumerate((o, g) for o, g in found if o.name not in same):
         direct = [g for g in guess.columns if not g.is_formula]
         new = [g for g in direct if g.channel in UNITS and g.channel not in taken]
         new = [g for g in new if fits(one.units.get(_name_in_series(one, g)), g.channel)]
@@ -62,25 +84,100 @@ def guessed(path: Path, series: Sequence[Series], known: Mapping[str, Column] | 
     return LogMapping(columns=columns, frames=frames), numbered(driving, columns), notes
 
 
+def _within(one: Series, intervals: Sequence[Interval]) -> Series:
+    """The samples in the longest of the intervals: motions do not go on from one to the next."""
+    if not intervals:
+        return one
+    first, last = longest(intervals)
+    inside = (one.t >= first) & (one.t <= last)
+    return replace(one, t=one.t[inside], columns={n: c[inside] for n, c in one.columns.items()})
+
+
 def has_motion(one: Series) -> bool:
     """Whether a series has a motion among its columns, by their names."""
     return any(Name.of(f"{one.name}.{c}").motion() for c in one.columns)
 
 
-def on_separate_runs(series: Sequence[Series]) -> list[str]:
-    """Notes on series whose names differ in a number alone, with the same motions at different times."""
-    by_name, notes = {one.name: one for one in series}, list[str]()
-    for row in rows_by_number(by_name):
-        members = sorted((by_name[name] for name in row), key=lambda one: float(np.nanmin(one.t)))
-        alike = all(
-            {*a.columns} == {*b.columns} and np.nanmax(a.t) < np.nanmin(b.t) for a, b in pairwise(members)
-        )
-        if len(members) > 1 and has_motion(members[0]) and alike:
-            notes.append(
-                f"{row[0]} to {row[-1]} have the same columns at different times: separate runs, of which "
-                "only one is read: save each in a file of its own"
-            )
-    return notes
+# --- several runs in one file -----------------------------------------------------------------------
+_Run = dict[tuple[str, frozenset[str]], Series]  # by what its name has beside that of the run, and columns
+
+
+def one_after_the_other(series: Sequence[Series]) -> tuple[list[Series], tuple[Interval, ...], list[str]]:
+    """Separate runs as one log that is cut between them: its series, where each run is, and a note.
+
+    They are what has the same columns, a motion among them, at different times; or at the same times another
+    motion, where that begins with each of them and their names differ in a number, or how long they are.
+    """
+    for depth in range(1, 1 + max(one.name.count(".") + 1 for one in series)):
+        runs = _alike(series, depth)
+        if len(runs) > 1 and _are_runs(runs):
+            return _joined(runs, [one.name for one in series if not one.name.startswith((*runs,))])
+    return [*series], (), []
+
+
+def _alike(series: Sequence[Series], depth: int) -> dict[str, _Run]:
+    """The largest group of structs with the same columns, a motion among them, by the beginning of names."""
+    runs: dict[str, _Run] = {}
+    for one in series:
+        words = re.sub(r"\[\d+\]$", "", one.name).split(".")
+        head, rest = ".".join(words[:depth]), ".".join(words[depth:])
+        runs.setdefault(head, {})[rest, frozenset(one.columns)] = one
+    moving = {head: run for head, run in runs.items() if any(map(has_motion, run.values()))}
+    groups = [{h: r for h, r in moving.items() if r.keys() == other.keys()} for other in moving.values()]
+    return max(groups, key=len, default={})
+
+
+def _span(run: _Run) -> Interval:
+    times = [one.t for one in run.values()]
+    return float(min(map(np.nanmin, times))), float(max(map(np.nanmax, times)))
+
+
+def _are_runs(runs: Mapping[str, _Run]) -> bool:
+    spans = [_span(run) for run in runs.values()]
+    if all(a[1] < b[0] for a, b in pairwise(sorted(spans))):
+        return True
+    lengths = [last - first for first, last in spans]
+    begin = max(first for first, _ in spans) - min(first for first, _ in spans)
+    numbered = len(max(rows_by_number(runs), key=len, default=[])) == len(runs)
+    differ = numbered or min(lengths) < RUNS.as_long * max(lengths)
+    again = begin < (1.0 - RUNS.as_long) * min(lengths)
+    return differ and again and not any(_move_alike(a, b) for a, b in combinations(runs.values(), 2))
+
+
+def _move_alike(one: _Run, other: _Run) -> bool:
+    """Whether all motions are the same at the same times, as two sensors measure them."""
+    moving = [
+        (values, np.interp(series.t, other[key].t, other[key].columns[column], np.nan, np.nan))
+        for key, series in one.items()
+        for column, values in series.columns.items()
+        if Name.of(f"{series.name}.{column}").motion() and np.nanstd(values) > 0
+    ]
+    return all(np.nanstd(theirs - own) < RUNS.alike * np.nanstd(own) for own, theirs in moving)
+
+
+def _joined(
+    runs: Mapping[str, _Run], others: Sequence[str]
+) -> tuple[list[Series], tuple[Interval, ...], list[str]]:
+    """The series of runs, each after the one before."""
+    ordered = sorted(runs.items(), key=lambda pair: _span(pair[1])[0])
+    begins, parts, free = [], list[Interval](), -np.inf
+    for _, run in ordered:
+        first, last = _span(run)
+        begins.append(max(0.0, free - first))
+        parts.append((first + begins[-1], last + begins[-1]))
+        free = np.ceil(parts[-1][1] + RUNS.pause)
+    found = []
+    for k, key in enumerate(ordered[0][1]):
+        each = [run[key] for _, run in ordered]
+        name = key[0] or (f"run[{k}]" if k else "run")
+        t = np.concatenate([one.t + begin for one, begin in zip(each, begins, strict=True)])
+        columns = {c: np.concatenate([one.columns[c] for one in each]) for c in each[0].columns}
+        found.append(Series(name, t, columns, each[0].units))
+    where = ", ".join(
+        f"{head} from {first:.4g} s" for (head, _), (first, _) in zip(ordered, parts, strict=True)
+    )
+    notes = [f"runs with the same columns, each used as a log of its own: {where}"]
+    return found, tuple(parts), notes + [f"left out beside them: {', '.join(others)}"] * bool(others)
 
 
 def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMapping:
@@ -93,7 +190,8 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     known = [*_as_guesses(meaning.columns), *_as_guesses(meaning.channels)]
     moves = {*vehicle.pose_names, *vehicle.velocity_names} if vehicle else MEASURED
     if log.by_name or not MEASURED & moves & {guess.channel for guess in known}:
-        return guess_table(log.beginning(), log.path, vehicle, HELD, CLOCK, log.units)
+        clock = replace(CLOCK, entry={**CLOCK.entry, "stretch": STRETCH}) if log.intervals else CLOCK
+        return guess_table(log.beginning(), log.path, vehicle, HELD, clock, log.units)
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]

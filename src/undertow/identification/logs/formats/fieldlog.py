@@ -182,12 +182,16 @@ class FieldLog:
     def beginning(self) -> pl.DataFrame:
         """Rows of all columns, enough to guess their meaning: the first in which most of them report."""
         times = [t for one in self.series.values() if len(t := one.t[rising(one.t)])]
+        if self.intervals:
+            times = [t[(t >= a) & (t <= b)] for t in times for a, b in [longest(self.intervals)]]
+            times = [t for t in times if len(t)]
         begins = np.unique([t[0] for t in times])
         reporting = sum(((t[0] <= begins) & (begins < t[-1])).astype(int) for t in times)
         begin = float(begins[np.argmax(reporting)])
         every = np.sort(np.concatenate([t[t >= begin] for t in times]))
         end = float(every[min(SETTINGS.guess_rows, len(every)) - 1])
-        return self.table(self.columns, (begin, end)).filter(pl.col(TIME).is_between(begin, end))
+        rows = self.table(self.columns, (begin, end)).drop(STRETCH, strict=False)
+        return rows.filter(pl.col(TIME).is_between(begin, end))
 
     @property
     def sha256(self) -> str:
@@ -477,6 +481,11 @@ def _moving(stretch: Interval, outputs: tuple[Array, Array] | None) -> list[Inte
     if not off.any():
         return []
     return [(float(t[off][0]), min(float(t[off][-1]) + MOTION.coast, stretch[1]))]
+
+
+def longest(intervals: Iterable[Interval]) -> Interval:
+    """The longest of some intervals."""
+    return max(intervals, key=lambda s: s[1] - s[0])
 
 
 def _within(t: float, intervals: Iterable[Interval]) -> bool:

@@ -25,7 +25,7 @@ from undertow.identification.logs.mapping import SECONDS
 from undertow.identification.logs.table import has_dates, seconds
 from undertow.typing import Array
 
-from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns, on_separate_runs
+from .by_name import LINEAR, SIX, TURNED, guessed, names_of_columns, one_after_the_other
 from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series, from_one_begin, library, on_clocks
 
@@ -71,14 +71,14 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
             f"one of them time or t.{what}"
         )
     notes += on_clocks(found)
-    found = from_one_begin(found)
-    mapping, actuators, questions = guessed(path, found)
+    found, parts, runs = one_after_the_other(from_one_begin(found))
+    mapping, actuators, questions = guessed(path, found, intervals=parts)
     series = {one.name: one for one in found}
     if untimed:
         were = "was" if len(untimed) == 1 else "were"
         notes.append(f"no time has as many samples as {listed(untimed)}, which {were} left out")
-    about, asked = (*notes, *on_separate_runs(found)), tuple(questions)
-    return FieldLog(path, FORMAT.name, series, mapping, actuators, notes=about, remarks=asked, by_name=True)
+    about, asked = (*notes, *runs), tuple(questions)
+    return FieldLog(path, FORMAT.name, series, mapping, actuators, {}, parts, about, asked, by_name=True)
 
 
 def _on_objects(names: Sequence[str]) -> list[str]:
