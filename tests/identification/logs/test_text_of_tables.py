@@ -153,3 +153,37 @@ def test_a_folder_beside_a_file_is_refused_as_a_folder(
         (tmp_path / file).write_text(_text(","))
     assert main(["map", "new", str(tmp_path / "nav"), str(tmp_path / "motors.csv")]) == 2
     assert "beside other logs only files can be given" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("title", ["", 'TITLE = "zigzag 20/20"\n'])
+@pytest.mark.parametrize("zone", ["", "ZONE T = run1, I = 60\n"])
+def test_the_names_of_a_tecplot_file_are_those_of_its_columns(title: str, zone: str, tmp_path: Path) -> None:
+    """In quotes behind "Variables =", above columns that stand below each other."""
+    t = 0.1 * np.arange(60)
+    rows = [f"  {a:.6E}  {np.sin(a):.6E} {2 * np.sin(a):.6E}" for a in t]
+    names = ' Variables = "t (s)" "Surge speed (m/s)",\n"Yaw rate (deg/s)"\n'
+    (tmp_path / "log.out").write_text(title + names + zone + "\n".join(rows) + "\n")
+    guessed = guess_mapping(tmp_path / "log.out")
+    run = read_log(tmp_path / "log.out", guessed.meaning)
+    np.testing.assert_allclose(run.t, t, atol=1e-9)
+    np.testing.assert_allclose(run.channels["u"], np.sin(t), atol=1e-6)
+    np.testing.assert_allclose(run.channels["r"], np.radians(2 * np.sin(t)), atol=1e-6)
+
+
+def test_names_of_several_words_above_columns_between_blanks_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text("time (s) x (m)\n" + "".join(f"{k} {k}.5\n" for k in range(30)))
+    with pytest.raises(UndertowError, match=r"4 names \(time \(s\) x \(m\)\), but 2 cells .* double quotes"):
+        guess_mapping(tmp_path / "log.txt")
+
+
+def test_lines_that_end_with_several_carriage_returns_are_lines(tmp_path: Path) -> None:
+    text = "t\tx\tu\r\r\r\n" + "".join(f"{0.1 * k:.1f}\t{k}\t{k % 3}\t\r\r\r\n" for k in range(30))
+    (tmp_path / "log.txt").write_bytes(text.encode())
+    run = read_log(tmp_path / "log.txt", LogMapping(delimiter="\t"))
+    np.testing.assert_allclose(run.channels["u"], np.arange(30) % 3)
+
+
+def test_a_quote_in_the_header_that_does_not_end_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes(b'""\0",')
+    with pytest.raises(UndertowError, match="a header with a quote that does not end"):
+        read_log(tmp_path / "log.csv")

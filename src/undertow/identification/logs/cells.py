@@ -12,6 +12,28 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
+# The names of a file of Tecplot, and lines that describe its rows.
+_VARIABLES = re.compile(
+    rb"(?im)\A(?:\s*title\s*=.*\n)?\s*variables\s*=\s*(.*(?:\n\s*\".*)*)\n(?:\s*zone\b.*\n)?"
+)
+
+
+def plain_text(text: bytes, delimiter: str) -> bytes:
+    """A text without what a file system leaves behind where power was lost, and with one end of each line.
+
+    Blanks that are the delimiter are single. Of a Tecplot file the names are the header.
+    """
+    text = re.sub(rb"\r\r+\n", b"\n", text.rstrip(b"\0"))
+    found, sign = _VARIABLES.match(text), delimiter.encode()
+    if not found and delimiter != " ":
+        return text
+    # Several blanks in a row are one, as in columns that stand below each other.
+    rows = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text[found.end() if found else 0 :])
+    rows = re.sub(rb"[ \t,]+" if found else rb"[ \t]+", sign, rows)
+    names = re.findall(rb'"([^"]*)"|([^\s,"]+)', found[1]) if found else []
+    return sign.join(b'"%b"' % (a or b).strip() for a, b in names) + b"\n" * bool(found) + rows
+
+
 # A date whose year comes first means the same whatever is between its numbers.
 DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"
 _YEAR_LAST = r"^(\d{1,2})[-/. ](\d{1,2})[-/. ](\d{4})[T_, ]+(\d{1,2})(:\d{2}\S*)\s*([AaPp][Mm])?\s*(.*)$"

@@ -30,7 +30,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
-from .cells import DATE, as_iso, with_signs, with_signs_beside
+from .cells import DATE, as_iso, plain_text, with_signs, with_signs_beside
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -348,9 +348,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     _refuse_packed(text, where)
-    text = text.rstrip(b"\0")  # what a file system leaves behind the last row where power was lost
-    if mapping.delimiter == " ":  # several blanks in a row are one, as in columns that stand below each other
-        text = re.sub(rb"[ \t]+", b" ", re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text))
+    text = plain_text(text, mapping.delimiter)
     header = header_of(text, mapping)
     limits.check(len(text), text.count(b"\n"), columns_of(header, mapping), where)
     if not text.isascii():
@@ -365,7 +363,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
     after = _row_after(header, text, mapping)
-    _refuse_no_names(names, after, where)
+    _refuse_no_names(names, after, where, mapping.delimiter)
     if len(after) == len(names) + 1 and not after[-1].strip():  # each row ends with a delimiter
         text = re.sub(rb"(?m)%b(?=\r?$)" % re.escape(mapping.delimiter.encode()), b"", text)
     # Polars would give the second of two columns of one name another one, and a blank line below comments is
@@ -382,6 +380,8 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         )
     except _UNREADABLE as error:
         raise (_too_many_cells(text, mapping, where) or error) from error
+    if len(table.columns) != len(names):
+        raise UndertowError(f"{where} has a header with a quote that does not end: write its names anew")
     # Spreadsheets leave several without a name behind a table: only the first, an index, can be meant.
     return table.drop(n for n, name in zip(table.columns, names, strict=True) if n and not name.strip())
 
@@ -401,8 +401,13 @@ def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
     return next(csv.reader([line], delimiter=mapping.delimiter), [])
 
 
-def _refuse_no_names(names: list[str], after: list[str], where: str) -> None:
+def _refuse_no_names(names: list[str], after: list[str], where: str, delimiter: str) -> None:
     """Refuse a first line with numbers or dates where the line after it has them: that is no header."""
+    if delimiter == " " and 0 < len(after) < len(names):
+        raise UndertowError(
+            f"{where} has {len(names)} names ({' '.join(names)[:60]}), but {len(after)} cells in its first "
+            "row: write names with blanks in double quotes"
+        )
     dated = re.compile(DATE)
     numeric, later = ([is_number(c) or bool(dated.match(c)) for c in row] for row in (names, after))
     counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
