@@ -1419,3 +1419,26 @@ def test_names_of_trials_of_ships_are_known() -> None:
     assert by_column == {"Xg": "x", "Yg": "y", "Fi": "phi", "Psi": "psi"} | {n: n for n in driven}
     alone = guess_table(pl.DataFrame({"Time": t, "Azimuth1": t**2, "imu.xg": t} | place), Path("own.csv"))
     assert {g.column for g in alone.columns} == {*place}, "an azimuth without revolutions may be a bearing"
+
+
+@pytest.mark.parametrize(("channel", "largest", "unit"), [("roll", 6.3, "deg"), ("pitch", 2.5, "deg")])
+def test_roll_and_pitch_that_would_be_upside_down_are_in_degrees(
+    channel: str, largest: float, unit: str
+) -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    for angle, expected in (
+        (largest * np.sin(t), unit),
+        ((0.3 * np.sin(t)) % (2 * np.pi), "rad"),  # from 0 to 2 pi
+    ):
+        (found,) = guess_table(pl.DataFrame({"t": t, channel: angle}), Path("own.csv")).columns
+        assert found.entry["unit"] == expected
+        assert ("upside down" in found.doubt) is (expected == "deg")
+
+
+def test_a_change_is_no_rudder_and_volts_are_asked_about() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    names = ("delta_distance", "delta_tof", "delta", "delta_r", "left_motor [V]")
+    found = guess_table(pl.DataFrame({"t": t} | {n: np.sin(t + len(n)) for n in names}), Path("own.csv"))
+    doubts = {g.column: g.doubt for g in found.columns}
+    assert doubts.keys() == {"delta", "delta_r", "left_motor [V]"}
+    assert "what was commanded, or what was measured?" in doubts["left_motor [V]"]

@@ -310,3 +310,12 @@ def test_of_the_table_of_a_motor_only_what_can_be_a_command_is_one(tmp_path: Pat
     assert {g.channel for g in guessed.columns} - {"x", "y", "psi", "r", "phi", "theta"} == {
         f"motors.{name}" for name in COMMANDS
     }
+
+
+def test_a_table_of_another_time_than_the_motions_is_noted(tmp_path: Path) -> None:
+    _folder(tmp_path)
+    assert not [note for note in one_run([tmp_path]).notes if "motions" in note]
+    t = np.arange(60.0, 100.0, 0.25)
+    _write(tmp_path / "motors.csv", {"t_ns": _whole(t), **_thrust(t)})
+    (note,) = (note for note in one_run([tmp_path]).notes if "motions" in note)
+    assert note.startswith("motors begins 20 s after the motions end: is it of this run?")

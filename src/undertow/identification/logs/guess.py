@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -62,6 +62,8 @@ class GuessSettings:
 
     rows: int = 20_000  # rows that are examined; more change no guess
     turn: float = 7.0  # an angle beyond this is in degrees: a full turn plus noise
+    # Roll and pitch beyond this in radians that never jump by a turn are in degrees.
+    upright: Mapping[str, float] = field(default_factory=lambda: {"phi": 3.5, "theta": 1.8})
     small: float = 0.7  # an angle that never gets beyond this may be in radians or a small one in degrees
     spin: float = 6.0  # a turning rate beyond this is in degrees: one turn a second is the most in water
     repeated: float = 0.6  # share of rows that repeat the one before, from which a sensor is slower
@@ -462,6 +464,9 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
     if channel in POSE[3:]:
         if most > SETTINGS.turn:
             return "deg", ""
+        over = channel in SETTINGS.upright and most > SETTINGS.upright[channel]
+        if over and not np.any(np.abs(np.diff(values)) > np.pi):  # as an angle of 0 to 2 pi has them
+            return "deg", "in radians the vehicle would be upside down: is it in deg?"
         certain = channel == "psi" and most > SETTINGS.small
         return "rad", "" if certain else f"never beyond {most:.2g}: radians, or small angles in degrees?"
     if channel in VELOCITY[3:]:
@@ -545,6 +550,7 @@ def _command(
         entry["unit"], doubt = (u := UNITS[name.force]), f"no unit in the name: is it in {u}?"
     elif name.unit in ("N", "kN", "deg", "rad", "V"):
         entry["unit"] = name.unit
+        doubt = "in volts: what was commanded, or what was measured?" if name.unit == "V" else ""
     elif name.counts == "rev/s":
         entry["power"] = 2
         turn = f"1 {name.unit}" if name.unit in TURNS else "n = 1"

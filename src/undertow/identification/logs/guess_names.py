@@ -418,9 +418,16 @@ class Name:
         numbered = any(re.fullmatch(r"[nuftm]\d+|tau[xyzkmn]", word) for word in self.words)
         single = {word.removesuffix("s") for word in self.unnumbered}  # of several thrusters, one column each
         drives = bool({*self.unnumbered, *single} & _DRIVES or numbered) or self.unit == "pwm"
-        other = {"limit", *_CONSUMED} & {*self.unnumbered, *single}
+        other = {"limit", *_CONSUMED} & {*self.unnumbered, *single} or self.is_difference
         counts = self.unit in {"", "V", "N m", "kN m", *_COUNTS}
         return drives and counts and not other and not self.of_header
+
+    @property
+    def is_difference(self) -> bool:
+        """Whether its delta is a change, as in "delta_distance", and no angle of a rudder."""
+        driving = {*_DRIVES, *_ALSO, *_SIDEWAYS, *_RANK, *_CONTAINERS, "angle"}
+        pairs = pairwise(self.unnumbered)
+        return any(a == "delta" and len(b) > 2 and b not in driving for a, b in pairs)  # delta_r: a rudder
 
     @property
     def unnumbered(self) -> list[str]:

@@ -79,7 +79,7 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     by_name = {one.name: one for one in found}
     more = len(reasons) - SETTINGS.named
     named = reasons[: SETTINGS.named] + [f"and {more} more"] * (more > 0)
-    remarks = (*clocks, *((f"left out: {', '.join(named)}",) if reasons else ()))
+    remarks = (*clocks, *_beside(found), *((f"left out: {', '.join(named)}",) if reasons else ()))
     if lacking:
         others = f"; so do {len(lacking) - 1} more tables" if len(lacking) > 1 else ""
         remarks = (f"{lacking[0]}{others}", *remarks)
@@ -179,6 +179,21 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
                 f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
                 "separate runs, or on clocks that do not begin together; give the tables of each as one log"
             )
+
+
+def _beside(found: Sequence[Series]) -> list[str]:
+    """Notes on tables that have no time in common with the motions."""
+    spans = [(float(np.nanmin(one.t)), float(np.nanmax(one.t))) for one in found if has_motion(one)]
+    if not spans:
+        return []
+    first, last = min(a for a, _ in spans), max(b for _, b in spans)
+    late = {one.name: float(np.nanmin(one.t)) - last for one in found}
+    early = {one.name: first - float(np.nanmax(one.t)) for one in found}
+    notes = [f"{name} begins {by:.3g} s after the motions end" for name, by in late.items() if by > 0]
+    notes += [f"{name} ends {by:.3g} s before the motions begin" for name, by in early.items() if by > 0]
+    return [
+        f"{note}: is it of this run? If so, a delay of its columns puts its clock right" for note in notes
+    ]
 
 
 def tables_in(folder: Path, deep: int = SETTINGS.deep) -> list[Path]:
