@@ -319,3 +319,34 @@ def test_a_table_of_another_time_than_the_motions_is_noted(tmp_path: Path) -> No
     _write(tmp_path / "motors.csv", {"t_ns": _whole(t), **_thrust(t)})
     (note,) = (note for note in one_run([tmp_path]).notes if "motions" in note)
     assert note.startswith("motors begins 20 s after the motions end: is it of this run?")
+
+
+@pytest.mark.parametrize(("late", "asked"), [(0.0, False), (40.0, True), (-90.0, True)])
+@pytest.mark.parametrize("place", [True, False])
+def test_clocks_that_are_far_apart_are_asked_about(
+    tmp_path: Path, late: float, place: bool, *, asked: bool
+) -> None:
+    """By a heading and a yaw rate, or by a position and a speed; the delay that is proposed puts it right."""
+    rng, t = np.random.default_rng(5), np.arange(0.0, 300.0, 0.1)
+    width = np.exp(-0.5 * (np.arange(-100, 101) / 30.0) ** 2)
+    r, u = (size * np.convolve(rng.normal(size=len(t)), width, "same") for size in (0.02, 0.05))
+    psi, u = 0.1 * np.cumsum(r), 2.0 + u
+    track = {"x": 0.1 * np.cumsum(u * np.cos(psi)), "y": 0.1 * np.cumsum(u * np.sin(psi))}
+    _write(
+        tmp_path / "pose.csv",
+        {"t": t[::2]} | {n: v[::2] for n, v in (track if place else {"psi": psi}).items()},
+    )
+    _write(tmp_path / "imu.csv", {"t": t + late, **({"u": u} if place else {"r": r})})
+    log = one_run([tmp_path])
+    questions = [q for q in log.remarks if "its columns need delay" in q]
+    assert bool(questions) is asked
+    assert [q for q in first_mapping(log).questions if "its columns need delay" in q] == questions
+    if asked:
+        assert float(questions[0].split('delay = "')[1].split()[0]) == pytest.approx(late, abs=1.0)
+
+
+def test_clocks_of_a_motion_that_repeats_itself_are_not_asked_about(tmp_path: Path) -> None:
+    t = np.arange(0.0, 300.0, 0.1)
+    _write(tmp_path / "pose.csv", {"t": t, "psi": np.sin(0.3 * t)})
+    _write(tmp_path / "imu.csv", {"t": t + 40.0, "r": 0.3 * np.cos(0.3 * t)})
+    assert not [q for q in one_run([tmp_path]).remarks if "its columns need delay" in q]

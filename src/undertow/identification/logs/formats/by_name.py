@@ -23,6 +23,7 @@ from undertow.model.units import scale_offset
 from undertow.model.vehicle import Vehicle
 
 from .fieldlog import HELD, STRETCH, TIME, FieldLog, Interval, Series, longest
+from .offsets import questions_on_clocks
 
 CLOCK = Guess(TIME, {"column": TIME, "unit": "s"})
 """The clock of the table of a log."""
@@ -191,7 +192,9 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     moves = {*vehicle.pose_names, *vehicle.velocity_names} if vehicle else MEASURED
     if log.by_name or not MEASURED & moves & {guess.channel for guess in known}:
         clock = replace(CLOCK, entry={**CLOCK.entry, "stretch": STRETCH}) if log.intervals else CLOCK
-        return guess_table(log.beginning(), log.path, vehicle, HELD, clock, log.units)
+        guess = guess_table(log.beginning(), log.path, vehicle, HELD, clock, log.units)
+        clocks = questions_on_clocks(log, guess.meaning.columns)
+        return replace(guess, questions=(*guess.questions, *clocks))
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {guess.channel for guess in known}]

@@ -157,7 +157,7 @@ class FieldLog:
         """
         wanted: dict[str, list[str]] = {}
         for name in dict.fromkeys(columns):
-            series, column = self._series_and_column(name)
+            series, column = self.series_and_column(name)
             wanted.setdefault(series, []).append(column)
         if not wanted:
             raise UndertowError(
@@ -239,7 +239,7 @@ class FieldLog:
         every = self.series.values()
         return {f"{s.name}.{c}": unit for s in every for c, unit in s.units.items() if c in s.columns}
 
-    def _series_and_column(self, name: str) -> tuple[str, str]:
+    def series_and_column(self, name: str) -> tuple[str, str]:
         """Name of the series and of its column, of a name that joins them."""
         for series in self.series:  # either may have points in it
             if name.startswith(f"{series}.") and name[len(series) + 1 :] in self.series[series].columns:

@@ -39,6 +39,7 @@ from undertow.typing import Array
 from .by_name import CLOCK, has_motion, numbered
 from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, on_clocks
 from .fieldlog import SETTINGS as UNION
+from .offsets import questions_on_clocks
 
 ENDS = (".csv", ".csv.gz", ".parquet")
 """Ends of the names of tables."""
@@ -96,7 +97,10 @@ def _guessed(log: FieldLog) -> FieldLog:
     known = {n: meaning.columns[n].model_copy(update={"unit": None}) for n in driving}
     mapping = meaning.model_copy(update={"columns": columns, "ignore": ()})
     return replace(
-        log, mapping=mapping, actuators=numbered(driving, columns, known), remarks=tuple(guess.asked)
+        log,
+        mapping=mapping,
+        actuators=numbered(driving, columns, known),
+        remarks=(*guess.asked, *questions_on_clocks(log, columns)),
     )
 
 
