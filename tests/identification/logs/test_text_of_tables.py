@@ -187,3 +187,10 @@ def test_a_quote_in_the_header_that_does_not_end_is_refused(tmp_path: Path) -> N
     (tmp_path / "log.csv").write_bytes(b'""\0",')
     with pytest.raises(UndertowError, match="a header with a quote that does not end"):
         read_log(tmp_path / "log.csv")
+
+
+def test_a_first_row_with_a_text_of_two_lines_is_no_header(tmp_path: Path) -> None:
+    rows = [f'{1528161762.9 + k:.2f},-121.{748 + k},38.53,{k}.5,"not reached\n"\n' for k in range(30)]
+    (tmp_path / "log.csv").write_text("".join(rows))
+    with pytest.raises(UndertowError, match="begins with numbers"):
+        guess_mapping(tmp_path / "log.csv")

@@ -411,7 +411,8 @@ def _refuse_no_names(names: list[str], after: list[str], where: str, delimiter: 
     dated = re.compile(DATE)
     numeric, later = ([is_number(c) or bool(dated.match(c)) for c in row] for row in (names, after))
     counted = [[str(k + first) for k in range(len(names))] for first in (0, 1)]
-    alike = all(numeric) or (any(numeric) and numeric == later)
+    decimals = sum("." in name for name in names if is_number(name))  # hardly names, whatever is below them
+    alike = all(numeric) or (any(numeric) and numeric == later) or 2 * decimals > len(names)
     if len(names) > 1 and alike and names not in counted:
         raise UndertowError(
             f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
