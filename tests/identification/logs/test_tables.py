@@ -350,3 +350,19 @@ def test_clocks_of_a_motion_that_repeats_itself_are_not_asked_about(tmp_path: Pa
     _write(tmp_path / "pose.csv", {"t": t, "psi": np.sin(0.3 * t)})
     _write(tmp_path / "imu.csv", {"t": t + 40.0, "r": 0.3 * np.cos(0.3 * t)})
     assert not [q for q in one_run([tmp_path]).remarks if "its columns need delay" in q]
+
+
+def test_rows_of_several_things_in_one_table_are_told_apart_by_their_number(tmp_path: Path) -> None:
+    """As an LAUV writes the positions of its fins."""
+    _folder(tmp_path)
+    t = np.arange(0.0, 40.0, 0.1)
+    turns = {k: 0.1 * np.sin(0.3 * t + k) for k in range(4)}
+    rows = sorted((a, k, v) for k, values in turns.items() for a, v in zip(t + 1e-4 * k, values, strict=True))
+    at, number, value = (np.array(column) for column in zip(*rows, strict=True))
+    _write(tmp_path / "SetServoPosition.csv", {"t_ns": _whole(at), "id": number, "value (rad)": value})
+    log = one_run([tmp_path])
+    assert [name for name in log.series if "Servo" in name] == [f"SetServoPosition[{k}]" for k in range(4)]
+    guessed = {g.column: g.entry["unit"] for g in first_mapping(log).columns if "Servo" in g.column}
+    assert guessed == {f"SetServoPosition[{k}].value (rad)": "rad" for k in range(4)}
+    for k, values in turns.items():
+        np.testing.assert_allclose(log.series[f"SetServoPosition[{k}]"].columns["value (rad)"], values)

@@ -191,7 +191,7 @@ class Name:
     @classmethod
     def of(cls, column: str) -> Name:
         """Take a name such as "yawRate [deg/s]" or "u_meas_mps" apart."""
-        bracket = re.search(r"[\[(]([^\])]*)[\])]", column)
+        bracket = re.search(r"[\[(](?!\d+[\])])([^\])]*)[\])]", column)  # a number is that of an instance
         rest = _no_knots(column if bracket is None else column.replace(bracket[0], " "))
         words = words_of(rest)
         fixed = "[xyz][0g]" if len(words) == 1 else "[xyz]0"  # to the earth; beside other words g is a gyro

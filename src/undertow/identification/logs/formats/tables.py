@@ -52,9 +52,11 @@ class TableSettings:
     quarter: float = 900.0  # s; clocks of two time zones differ by a multiple of it
     named: int = 3  # how many of the files left out are named
     deep: int = 4  # depth of nested folders that is searched
+    turns: float = 0.5  # share of the rows that are of another instance than the one before
 
 
 SETTINGS = TableSettings()
+_NUMBERS = {"id", "index", "idx", "instance", "channel", "number", "no", "motor", "thruster", "servo", "fin"}
 
 
 def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
@@ -75,6 +77,7 @@ def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
     if not found:
         raise UndertowError(f"log {path} has no table with a time: {reasons[0]}")
     _refuse_runs(path, files, found)
+    found = [part for one in found for part in _instances(one)]
     clocks, found = on_clocks(found), from_one_begin(found)
     _refuse_apart(path, found)
     by_name = {one.name: one for one in found}
@@ -183,6 +186,26 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
                 f"log {path}: table {before!r} ends {begin - end:.3g} s before {after!r} begins: they are "
                 "separate runs, or on clocks that do not begin together; give the tables of each as one log"
             )
+
+
+def _instances(one: Series) -> list[Series]:
+    """A series for each of several things whose rows take turns in a table, by the number of each."""
+    for name, numbers in one.columns.items():
+        kinds = np.unique(numbers[np.isfinite(numbers)])
+        counted = {*Name.of(name).words} <= _NUMBERS and np.all(kinds == np.round(kinds))
+        if counted and 1 < len(kinds) <= UNION.widest and np.mean(np.diff(numbers) != 0) > SETTINGS.turns:
+            columns = {n: values for n, values in one.columns.items() if n != name}
+            return [
+                replace(
+                    one,
+                    name=f"{one.name}[{k:g}]",
+                    t=one.t[own],
+                    columns={n: c[own] for n, c in columns.items()},
+                )
+                for k in kinds
+                for own in [numbers == k]
+            ]
+    return [one]
 
 
 def _beside(found: Sequence[Series]) -> list[str]:
