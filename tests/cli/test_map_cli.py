@@ -1442,3 +1442,21 @@ def test_a_change_is_no_rudder_and_volts_are_asked_about() -> None:
     doubts = {g.column: g.doubt for g in found.columns}
     assert doubts.keys() == {"delta", "delta_r", "left_motor [V]"}
     assert "what was commanded, or what was measured?" in doubts["left_motor [V]"]
+
+
+def test_theta_beside_x_and_y_alone_is_the_heading() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    plane = {f"position.{n}": v for n, v in (("x", t), ("y", np.sin(t)), ("theta", 3.0 * np.sin(0.2 * t)))}
+    found = {g.channel: g for g in guess_table(pl.DataFrame({"t": t} | plane), Path("own.csv")).columns}
+    assert found.keys() == {"x", "y", "psi"}
+    assert "read as the heading: is it?" in found["psi"].doubt
+    for more in ({"position.z": np.cos(t)}, {"position.psi": np.sin(t)}, {"roll": np.sin(t)}):
+        columns = guess_table(pl.DataFrame({"t": t} | plane | more), Path("own.csv")).columns
+        assert "theta" in {g.channel for g in columns}
+
+
+def test_a_roll_beside_a_heading_in_degrees_is_in_degrees_for_certain() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    table = pl.DataFrame({"t": t, "roll": 6.0 * np.sin(t), "yaw": 90.0 * np.sin(0.1 * t)})
+    found = {g.channel: g for g in guess_table(table, Path("own.csv")).columns}
+    assert (found["phi"].entry["unit"], found["phi"].doubt) == ("deg", "")

@@ -49,7 +49,7 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, no_degrees, two_places
-from .guess_rates import STILL, with_common_units, with_rates
+from .guess_rates import STILL, UPSIDE_DOWN, with_common_units, with_rates
 from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, unit_in, whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS, without_jumps
@@ -125,6 +125,7 @@ def guess_table(
     full = [n for n in names if np.isfinite(data[n.column]).any()]
     free = [n for n in full if not _is_called_like_a_command(n, full, vehicle)]
     motion = _best_columns([n for n in free if n.column not in dead or n.motion(only) not in _MOVED], only)
+    motion = _planar(motion)
     motion |= _speed_ahead(vehicle, [n for n in free if n.column not in dead and "u" not in motion])
     driving = _commands([n for n in full if n not in motion.values()], vehicle, dead)
     flags = {name: column for name, column in data.items() if name not in rotation and is_flag(column)}
@@ -337,6 +338,14 @@ def _best_columns(names: Iterable[Name], only: int | None) -> dict[str, Name]:
     return {channel: found[channel] for channel in (*POSE, *VELOCITY) if channel in found}
 
 
+def _planar(motion: Mapping[str, Name]) -> dict[str, Name]:
+    """The columns of channels, with "theta" beside x and y alone as the heading, as in a plane."""
+    theta, place = motion.get("theta"), [motion[c] for c in ("x", "y") if c in motion]
+    alone = theta is not None and "theta" in theta.words and not {"z", "phi", "psi"} & motion.keys()
+    alone = alone and len(place) == 2 and all(name.stem == theta.stem for name in place if theta)
+    return {"psi" if alone and c == "theta" else c: name for c, name in motion.items()}
+
+
 def _speed_ahead(vehicle: Vehicle | None, names: Iterable[Name]) -> dict[str, Name]:
     """The best column with a speed, of a vehicle that has surge and no sway."""
     moves = {"surge", "sway"} & {*vehicle.degrees_of_freedom} if vehicle else set()
@@ -423,6 +432,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     half = scale_offset("rad", unit)[0] * np.pi if channel in ("phi", "theta") else np.inf
     if channel == "psi" or float(np.nanmax(values, initial=0.0)) > half:
         entry["wrapped"] = True
+    if channel == "psi" and "theta" in name.words:
+        doubts.append("beside x and y alone, read as the heading: is it?")
     fresh = _fresh(name, values, flags)
     if fresh:
         entry["fresh"] = fresh
@@ -466,7 +477,7 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
             return "deg", ""
         over = channel in SETTINGS.upright and most > SETTINGS.upright[channel]
         if over and not np.any(np.abs(np.diff(values)) > np.pi):  # as an angle of 0 to 2 pi has them
-            return "deg", "in radians the vehicle would be upside down: is it in deg?"
+            return "deg", UPSIDE_DOWN
         certain = channel == "psi" and most > SETTINGS.small
         return "rad", "" if certain else f"never beyond {most:.2g}: radians, or small angles in degrees?"
     if channel in VELOCITY[3:]:

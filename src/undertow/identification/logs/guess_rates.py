@@ -30,6 +30,7 @@ SETTINGS = RateSettings()
 STILL = 7e-5
 """No turning rate stays below that of the earth, rad/s."""
 
+UPSIDE_DOWN = "in radians the vehicle would be upside down: is it in deg?"
 _AGAINST = "its sign is reversed here, so that it is the rate of the heading in these axes: is that right?"
 _OVER = "in rad/s it would turn the vehicle over: is it in deg/s?"
 
@@ -148,9 +149,13 @@ def with_common_units(
         for g in read
         if g.column in unstated and g.channel in kinds and g.entry["unit"] in ("deg", "deg/s")
     }
+    of = {g.column: (unstated.get(g.column), kinds.get(g.channel)) for g in read}
+    sure = {of[g.column] for g in read if not g.doubt and g.entry.get("unit") == "deg"}
     found = []
     for guess in read:
         unit = degrees.get((unstated.get(guess.column, ()), kinds.get(guess.channel, -1)))
         alike = unit is not None and guess.entry["unit"] != unit and guess.channel not in decided
-        found.append(replace(guess, entry={**guess.entry, "unit": unit}, doubt="") if alike else guess)
+        known = guess.doubt == UPSIDE_DOWN and of[guess.column] in sure
+        entry = {**guess.entry, "unit": unit} if alike else guess.entry
+        found.append(replace(guess, entry=entry, doubt="") if alike or known else guess)
     return found
