@@ -364,5 +364,6 @@ def test_rows_of_several_things_in_one_table_are_told_apart_by_their_number(tmp_
     assert [name for name in log.series if "Servo" in name] == [f"SetServoPosition[{k}]" for k in range(4)]
     guessed = {g.column: g.entry["unit"] for g in first_mapping(log).columns if "Servo" in g.column}
     assert guessed == {f"SetServoPosition[{k}].value (rad)": "rad" for k in range(4)}
+    assert not log.actuators, "no motors that a vehicle with four thrusters takes for its own"
     for k, values in turns.items():
         np.testing.assert_allclose(log.series[f"SetServoPosition[{k}]"].columns["value (rad)"], values)

@@ -40,6 +40,8 @@ class RunSettings:
 
 RUNS = RunSettings()
 
+ANGULAR = ("rad", "deg")
+"""Units of rudders and fins, which are no motors."""
 _TIME = "time [s]"
 # Names of matrices, and of their columns; MSS (Fossen) calls pose eta and velocity nu.
 _SIX_MOVES = ("surge", "sway", "heave", "p", "q", "r")
@@ -76,7 +78,8 @@ def guessed(
             new = [in_axes(g, found[0][1].axes) for g in new]
         columns |= {f"{one.name}.{_name_in_series(one, g)}": _column(one, g) for g in new}
         taken |= {g.channel for g in new}
-        driving += [f"{one.name}.{_name_in_series(one, g)}" for g in direct if g.channel not in UNITS]
+        motors = [g for g in direct if g.channel not in UNITS and g.entry.get("unit") not in ANGULAR]
+        driving += [f"{one.name}.{_name_in_series(one, g)}" for g in motors]
         doubtful = [g for g in new if g.doubt and _name_in_series(one, g) not in one.units]
         doubts = [f"{one.name}.{_name_in_series(one, g)}: {g.doubt}" for g in doubtful]
         notes += [*doubts, *(guess.axes.questions if number == 0 and new else ())]

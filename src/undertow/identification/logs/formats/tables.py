@@ -36,7 +36,7 @@ from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import WHOLE, lacking_zeros
 from undertow.typing import Array
 
-from .by_name import CLOCK, has_motion, numbered
+from .by_name import ANGULAR, CLOCK, has_motion, numbered
 from .fieldlog import HELD, FieldLog, Format, Series, from_one_begin, on_clocks
 from .fieldlog import SETTINGS as UNION
 from .offsets import questions_on_clocks
@@ -97,12 +97,13 @@ def _guessed(log: FieldLog) -> FieldLog:
     meaning = guess.meaning
     driving = [n for n, column in meaning.columns.items() if column.channel not in UNITS]
     columns = {n: column for n, column in meaning.columns.items() if n not in driving}
-    known = {n: meaning.columns[n].model_copy(update={"unit": None}) for n in driving}
+    motors = [n for n in driving if meaning.columns[n].unit not in ANGULAR]
+    known = {n: meaning.columns[n].model_copy(update={"unit": None}) for n in motors}
     mapping = meaning.model_copy(update={"columns": columns, "ignore": ()})
     return replace(
         log,
         mapping=mapping,
-        actuators=numbered(driving, columns, known),
+        actuators=numbered(motors, columns, known),
         remarks=(*guess.asked, *questions_on_clocks(log, columns)),
     )
 
