@@ -14,6 +14,7 @@ from undertow.cli.main import main
 from undertow.errors import UndertowError
 from undertow.identification.logs.formats.by_name import first_mapping
 from undertow.identification.logs.formats.fieldlog import one_run, read_field_log
+from undertow.identification.logs.guess import guess_mapping
 from undertow.identification.logs.mapping import Column, LogMapping, read_mapping
 from undertow.identification.logs.reading import read_log
 from undertow.typing import Array
@@ -364,6 +365,8 @@ def test_rows_of_several_things_in_one_table_are_told_apart_by_their_number(tmp_
     assert [name for name in log.series if "Servo" in name] == [f"SetServoPosition[{k}]" for k in range(4)]
     guessed = {g.column: g.entry["unit"] for g in first_mapping(log).columns if "Servo" in g.column}
     assert guessed == {f"SetServoPosition[{k}].value (rad)": "rad" for k in range(4)}
+    (asked,) = guess_mapping(tmp_path / "SetServoPosition.csv").questions
+    assert "'id' numbers several things whose rows take turns" in asked
     assert not log.actuators, "no motors that a vehicle with four thrusters takes for its own"
     for k, values in turns.items():
         np.testing.assert_allclose(log.series[f"SetServoPosition[{k}]"].columns["value (rad)"], values)

@@ -50,7 +50,16 @@ from .guess_names import (
 )
 from .guess_places import fixes_in, no_degrees, two_places
 from .guess_rates import STILL, UPSIDE_DOWN, with_common_units, with_rates
-from .guess_rows import clock_by_motion, clock_of, columns_of, numbers_of, times_of_rows, unit_in, whole_table
+from .guess_rows import (
+    clock_by_motion,
+    clock_of,
+    columns_of,
+    number_of_things,
+    numbers_of,
+    times_of_rows,
+    unit_in,
+    whole_table,
+)
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS, without_jumps
 from .table import joined_rows, texts_in
@@ -151,6 +160,7 @@ def guess_table(
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
     questions = _questions(vehicle, read, [n for n in names if n.column not in used])
+    questions += [_THINGS.format(things, path)] if (things := number_of_things(data)) else []
     questions += two_places((known, motion, globe), data, dead) + _on_flags([*flags], used | dead)
     reading, gaps = _with_gaps(
         reading, table, used & {*data}, {n.column: data[n.column] for n in driving.values()}
@@ -246,6 +256,10 @@ _WRENCH = (
 )
 _TEXTS = (
     "'{}' has cells that are not numbers, such as '{}' ({} of them): is it right to take them as missing?"
+)
+_THINGS = (
+    "'{}' numbers several things whose rows take turns, so that every other column mixes them: do they? As a "
+    "table in a folder of its own, {} is read with a series for each"
 )
 _BLANK = (
     "commands without a value in some rows ({}) keep their previous value, by missing_commands = "

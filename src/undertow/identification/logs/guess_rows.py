@@ -19,7 +19,7 @@ from undertow.typing import Array, Flags
 
 from .cells import DIGITS_OF_DAY, with_points
 from .guess_frames import Guess
-from .guess_names import is_clock, stated_unit, unit_of_clock
+from .guess_names import Name, is_clock, stated_unit, unit_of_clock
 from .mapping import SECONDS, LogMapping, metres_per_degree, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
 from .table import (
@@ -76,6 +76,10 @@ class TextSettings:
     begin: int = 100_000  # bytes in which lines above the header are looked for
     signs: str = "#%!*"  # with which comments begin, and no row
     longest: int = 5  # characters of `comment` in a mapping file
+    # Of several things whose rows take turns: share of rows that are of another one than the row before, and
+    # how many there may be.
+    turns: float = 0.5
+    things: int = 16
 
 
 TEXT = TextSettings()
@@ -452,3 +456,17 @@ def unit_in(table: pl.DataFrame, name: str, reading: LogMapping) -> str:
     below = texts_in(table, name, reading)[:1]
     stated = (unit_of_cells(table, name, reading), *(text.strip().strip("[]()") for text in below))
     return next(filter(None, map(stated_unit, stated)), "")
+
+
+_NUMBERS = {"id", "index", "idx", "instance", "channel", "number", "no", "motor", "thruster", "servo", "fin"}
+
+
+def number_of_things(data: Mapping[str, Array]) -> str:
+    """The column with the number of one of several things whose rows take turns; "" for none."""
+    for name, column in data.items():
+        there, words = column[np.isfinite(column)], {*Name.of(name).words}
+        if not words or not words <= _NUMBERS or len(there) < 2 or np.any(there != np.round(there)):
+            continue
+        if np.mean(np.diff(there) != 0) > TEXT.turns and 1 < len(np.unique(there)) <= TEXT.things:
+            return name
+    return ""

@@ -25,6 +25,7 @@ from undertow.identification.logs.guess_rows import (
     clock_of,
     columns_of,
     halves_of_stamps,
+    number_of_things,
     numbers_of,
     unit_by_steps,
     unit_in,
@@ -52,11 +53,9 @@ class TableSettings:
     quarter: float = 900.0  # s; clocks of two time zones differ by a multiple of it
     named: int = 3  # how many of the files left out are named
     deep: int = 4  # depth of nested folders that is searched
-    turns: float = 0.5  # share of the rows that are of another instance than the one before
 
 
 SETTINGS = TableSettings()
-_NUMBERS = {"id", "index", "idx", "instance", "channel", "number", "no", "motor", "thruster", "servo", "fin"}
 
 
 def read_tables(files: Sequence[Path], path: Path | None = None) -> FieldLog:
@@ -191,22 +190,16 @@ def _refuse_apart(path: Path, found: Sequence[Series]) -> None:
 
 def _instances(one: Series) -> list[Series]:
     """A series for each of several things whose rows take turns in a table, by the number of each."""
-    for name, numbers in one.columns.items():
-        kinds = np.unique(numbers[np.isfinite(numbers)])
-        counted = {*Name.of(name).words} <= _NUMBERS and np.all(kinds == np.round(kinds))
-        if counted and 1 < len(kinds) <= UNION.widest and np.mean(np.diff(numbers) != 0) > SETTINGS.turns:
-            columns = {n: values for n, values in one.columns.items() if n != name}
-            return [
-                replace(
-                    one,
-                    name=f"{one.name}[{k:g}]",
-                    t=one.t[own],
-                    columns={n: c[own] for n, c in columns.items()},
-                )
-                for k in kinds
-                for own in [numbers == k]
-            ]
-    return [one]
+    name = number_of_things(one.columns)
+    if not name:
+        return [one]
+    numbers = one.columns[name]
+    rows = {f"{one.name}[{k:g}]": numbers == k for k in np.unique(numbers[np.isfinite(numbers)])}
+    columns = {n: values for n, values in one.columns.items() if n != name}
+    return [
+        replace(one, name=each, t=one.t[own], columns={n: c[own] for n, c in columns.items()})
+        for each, own in rows.items()
+    ]
 
 
 def _beside(found: Sequence[Series]) -> list[str]:
