@@ -49,7 +49,8 @@ from .guess_names import (
     with_sides,
 )
 from .guess_places import fixes_in, no_degrees, two_places
-from .guess_rates import STILL, UPSIDE_DOWN, with_common_units, with_rates
+from .guess_rates import SETTINGS as RATES
+from .guess_rates import UPSIDE_DOWN, with_common_units, with_rates
 from .guess_rows import (
     clock_by_motion,
     clock_of,
@@ -498,7 +499,7 @@ def _unit(channel: str, values: Array) -> tuple[str, str]:
         if most > SETTINGS.spin:
             return "deg/s", ""
         still = "less than the earth's rotation; if it measures nothing, leave it out"
-        doubt = still if most < STILL else "rad/s, or slow turns in deg/s?"
+        doubt = still if most < RATES.still else "rad/s, or slow turns in deg/s?"
         return "rad/s", f"never beyond {most:.2g}: {doubt}"
     unit = UNITS[channel]
     return unit, f"no unit in the name: is it in {unit}?"

@@ -22,14 +22,12 @@ class RateSettings:
     over: float = 1.0  # s over which a rate and the change of its angle are compared
     correlation_limit: float = 0.9  # correlation of the two
     fewest: int = 20  # rows with both that show it
+    still: float = 7e-5  # rad/s; no turning rate stays below that of the earth
     # A rate that would turn a vehicle by this within so long, and back, is in degrees a second.
     overturning: tuple[float, float] = (np.pi, 5.0)  # rad, s
 
 
 SETTINGS = RateSettings()
-STILL = 7e-5
-"""No turning rate stays below that of the earth, rad/s."""
-
 UPSIDE_DOWN = "in radians the vehicle would be upside down: is it in deg?"
 _AGAINST = "its sign is reversed here, so that it is the rate of the heading in these axes: is that right?"
 _OVER = "in rad/s it would turn the vehicle over: is it in deg/s?"
@@ -95,7 +93,7 @@ def _by_heading(
     if psi is None or len(t) == 0 or not guessed:
         return [*read], set()
     turning = {n.column: data[n.column] for n in names if n.motion() in VELOCITY[3:]}
-    rates = {n: c for n, c in turning.items() if np.nanmax(np.abs(c), initial=0.0) >= STILL}
+    rates = {n: c for n, c in turning.items() if np.nanmax(np.abs(c), initial=0.0) >= SETTINGS.still}
     own = {n: c for n, c in rates.items() if n == guessed}
     column, factor = _rate_of(psi, own, t)
     if not column:
