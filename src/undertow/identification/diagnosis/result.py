@@ -218,7 +218,9 @@ class Dependence(ResultTable):
     coefficients: list[float]
     standard_errors: list[float]
     units: list[str]  # of the coefficients
-    share: float  # share of the excess over sensor noise on validation data that the term removes
+    # share of the excess over sensor noise on validation data that the term removes, of what other values of
+    # the model's parameters leave
+    share: float
     chance: float  # probability that the best of all terms does as much when the residual depends on none
     alike: list[str]  # terms that these data hardly tell from it
 
