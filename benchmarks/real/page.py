@@ -115,7 +115,7 @@ def _as_logged(records: Sequence[Record], earlier: Iterable[Record]) -> str:
         [
             f"{r['vehicle']} ({r['title']})", r["answer"]["verdict"], _named(r),
             before.get(r["vehicle"], MISSING), _lengths(r),
-            *(errors(r.get("errors", {}).get(stage)) for stage in STAGES), number(r["seconds"]),
+            *(errors(r.get("errors", {}).get(stage)) for stage in STAGES), number(spent(r)),
         ]
         for r in own
     ]  # fmt: skip
@@ -162,7 +162,7 @@ def _row(case: Graded) -> list[str]:
     size = f"{r['value']:.3g}" if r.get("value") else MISSING
     place = str(case.place or MISSING)
     right, verdict = " or ".join(r["truth"]), r["answer"]["verdict"]
-    return [f"`{r['id']}`", right, size, change, place, verdict, _named(r), number(r["seconds"])]
+    return [f"`{r['id']}`", right, size, change, place, verdict, _named(r), number(spent(r))]
 
 
 def _with_improved(records: Sequence[Record]) -> str:
@@ -275,8 +275,13 @@ def _not_run(records: Sequence[Record]) -> str:
 
 def seconds(records: Iterable[Record]) -> str:
     """Median and longest time of a diagnosis."""
-    spent = [r["seconds"] for r in records if r["kind"] != "prediction" and "seconds" in r]
-    return f"Median {number(median(spent))} s, longest {number(max(spent))} s.\n" if spent else ""
+    each = [spent(r) for r in records if r["kind"] != "prediction" and "seconds" in r]
+    return f"Median {number(median(each))} s, longest {number(max(each))} s.\n" if each else ""
+
+
+def spent(record: Record) -> float:
+    """Processor time on one core, which other work does not lengthen; else that of the clock, s."""
+    return float(record["cpu"] if record.get("cores") == 1 else record["seconds"])
 
 
 INTRODUCTION = """\
@@ -291,7 +296,8 @@ AS_LOGGED = """\
 Errors here and below are of simulated velocities on the validation runs, in % of the motion (geometric mean
 over the degrees of freedom), from the measured state at regular intervals. The first third of these runs is
 not scored, so that values specific to a run can be estimated from it. A dash means that the simulation
-diverged, or that there is no such model. Before: answers of the previous version.
+diverged, or that there is no such model. Before: answers of the previous version. Seconds are those of one
+processor core; of the few cases in which two worked, those of the clock.
 
 """
 REMOVAL = f"""\
