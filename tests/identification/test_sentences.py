@@ -249,9 +249,32 @@ def test_what_is_unexplained_says_where_to_look() -> None:
         chance=0.01, alike=[],
     )  # fmt: skip
     some = _diagnosis("unexplained", remaining=[_left(depends_on=[term])])
-    assert "undertow effects new turns the residual force into an effect, for sway" in first_sentence(some)
+    said = "in sway; 50% of it in sway correlates with v|v|; undertow effects new turns that into an effect"
+    assert said in first_sentence(some)
     assert next_command(some, LINE) == "undertow effects new my_force --from found.json"
     assert "&& undertow effects new" in next_command(some, CommandLine())
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.9, True), (0.6, False)])
+def test_what_explains_more_than_an_effect_in_doubt_comes_first(share: float, said: bool) -> None:
+    """A weight that was dropped, and buoyancy that makes up for a part of it."""
+    term = Dependence(
+        term="a step at 55.8 s", columns=[["step(t - 55.8)"]], coefficients=[1.4], standard_errors=[0.1],
+        units=["N"], share=share, chance=0.0005, alike=[],
+    )  # fmt: skip
+    lift = Ranked(
+        effect="lift", family="hull", about="", parameters=[], error_before=9.0, error_after=5.0,
+        explained=0.7, improvement=1.0, interval=(0.5, 1.5), significant=True,
+    )  # fmt: skip
+    doubted = _diagnosis(
+        "helps_prediction", effects=[], helps=["lift"], remaining=[_left(depends_on=[term])],
+        ranking=[lift],
+    )  # fmt: skip
+    headline = summarised(doubted).headline
+    words = "Other terms explain more of the residual: 90% of it in sway correlates with a step at 55.8 s"
+    assert (words in headline) is said
+    command = next_command(summarised(doubted), LINE)
+    assert command.startswith("undertow effects new" if said else "undertow add lift")
 
 
 def test_a_residual_that_may_be_a_disturbance_is_not_called_missing() -> None:

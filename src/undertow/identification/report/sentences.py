@@ -15,6 +15,7 @@ from undertow.identification.diagnosis.result import (
     Diagnosis,
     Predictability,
     Ranked,
+    Remaining,
     Step,
     established,
 )
@@ -81,9 +82,13 @@ class SentenceSettings:
 
     least_change: float = 0.02  # relative, of an error, that tables show and sentences must not call none
     least_probability: float = 0.002  # that a few thousand draws determine
+    most_motions: int = 3  # whose residual forces the headline describes
+    # Share of the residual of a motion from which a term is mentioned beside an effect that explains less.
+    large_share: float = 0.5
 
 
 SETTINGS = SentenceSettings()
+_MAKE = "undertow effects new"
 
 
 def _digits(low: float, high: float) -> int:
@@ -249,8 +254,36 @@ def summarised(diagnosis: Diagnosis) -> Diagnosis:
         useless(diagnosis.last_step.channels, diagnosis.doctor),
         first_sentence(diagnosis).replace("%", "% of the motion", 1),
         _rest_of_headline(diagnosis.headline),
+        _explains_more(diagnosis),
     )
     return diagnosis.model_copy(update={"headline": " ".join(filter(None, parts))})
+
+
+def _explains_more(diagnosis: Diagnosis) -> str:
+    """What the residual correlates with, where that explains more of it than effects not established do."""
+    if diagnosis.verdict != "helps_prediction" or _MAKE in diagnosis.headline:
+        return ""
+    helping = max((c.explained for c in diagnosis.ranking if c.effect in diagnosis.helps), default=1.0)
+    least = max(SETTINGS.large_share, helping)
+    found = _correlations(r for r in diagnosis.remaining if _described(r)[0] > least)
+    if not found:
+        return ""
+    return f"Other terms explain more of the residual: {listed(found)}; {_MAKE} turns that into an effect."
+
+
+def _correlations(left: Iterable[Remaining]) -> list[str]:
+    """What each residual force correlates with most, those farthest above the noise first."""
+    ordered = sorted((r for r in left if r.depends_on or r.spectrum), key=lambda r: -r.normalised_error)
+    return [_described(r)[1] for r in ordered[: SETTINGS.most_motions]]
+
+
+def _described(left: Remaining) -> tuple[float, str]:
+    """The largest share of a residual force that a term or a period explains, and what that is."""
+    motion = left.degree_of_freedom
+    found = [(d.share, f"{d.share:.0%} of it in {motion} correlates with {d.term}") for d in left.depends_on]
+    if line := left.spectrum:
+        found.append((line.share, f"{line.share:.0%} of it in {motion} has a period of {line.period:.3g} s"))
+    return max(found, default=(0.0, ""))
 
 
 def _rest_of_headline(headline: str) -> str:
@@ -315,7 +348,10 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
 
     plannable: whether a manoeuvre can be planned, with commands that move the vehicle.
     """
-    effects, freed = _effects_mentioned(diagnosis), diagnosis.freed
+    doubtful = (
+        diagnosis.verdict == "helps_prediction" and _MAKE in diagnosis.headline and _has_terms(diagnosis)
+    )
+    effects, freed = [] if doubtful else _effects_mentioned(diagnosis), diagnosis.freed
     told_apart = plannable and diagnosis.indistinguishable and _separable(diagnosis)
     if diagnosis.verdict == "indistinguishable" and told_apart:
         between = ",".join(diagnosis.indistinguishable[0].effects)
@@ -330,7 +366,7 @@ def next_command(diagnosis: Diagnosis, line: CommandLine, *, plannable: bool = T
     if diagnosis.verdict == "adequate":
         return line.with_validation(["fit"], "--out", line.vehicle_file("fitted"))
     if _has_terms(diagnosis):
-        make = "undertow effects new my_force --from "
+        make = f"{_MAKE} my_force --from "
         if line.json_file:
             return make + shlex.quote(line.json_file)
         return f"{line.with_validation(['diagnose'], '--json', 'diagnosis.json')} && {make}diagnosis.json"
@@ -439,5 +475,5 @@ def _where_to_look(diagnosis: Diagnosis) -> str:
             f"{place}, and no logged variable clearly explains it: more runs may show what it depends on; "
             "undertow doctor checks the logs"
         )
-    described = [r.degree_of_freedom for r in diagnosis.remaining if r.depends_on or r.spectrum]
-    return f"{place}; undertow effects new turns the residual force into an effect, for {listed(described)}"
+    terms = listed(_correlations(diagnosis.remaining))
+    return f"{place}; {terms}; {_MAKE} turns that into an effect"
