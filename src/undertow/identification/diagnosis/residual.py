@@ -438,8 +438,7 @@ class Characteriser:
         """Change of the free parameters to the values with the least residual forces, (k,).
 
         Those that predict best differ. Forces that a change of them would remove are no sign of a term, and
-        add to what terms explain by chance (effective scores: Hemerik, Goeman and Finos 2020, section 3,
-        doi:10.1111/rssb.12369).
+        add to what terms explain by chance (Hemerik, Goeman and Finos 2020, doi:10.1111/rssb.12369).
         """
         model, each = self._fit.model, self._whitened
         r, J, start = (np.concatenate(a) for a in zip(*((w.r, w.J, w.start) for w in each), strict=True))
