@@ -10,6 +10,7 @@ import pytest
 
 from undertow.cli.main import main
 from undertow.errors import UndertowError
+from undertow.identification.logs.chunks import long_logs
 from undertow.identification.logs.guess import guess_mapping, guess_table
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
@@ -41,18 +42,52 @@ def test_lines_above_the_header_are_no_rows(above: str, delimiter: str, tmp_path
     assert {g.channel for g in guessed.columns} == {"x", "u"}
     run = read_log(tmp_path / "log.csv", guessed.meaning)
     np.testing.assert_allclose(run.channels["x"], 0.2 * np.arange(ROWS), atol=1e-12)
-    assert (guessed.meaning.comment is None) == (not above)
+    assert (guessed.meaning.comment is None and not guessed.meaning.skip) == (not above)
 
 
-@pytest.mark.parametrize("text", ["# t,x,u\n0,1,2\n0.1,2,3\n", "12\nt,x,u\n12,1,2\n12.1,2,3\n"])
-def test_a_header_and_a_number_are_no_titles(text: str, tmp_path: Path) -> None:
-    """A header may begin with the sign of comments; rows may begin like a number that stands above them."""
+def test_a_header_may_begin_with_the_sign_of_comments(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("# t,x,u\n0,1,2\n0.1,2,3\n")
+    assert {g.channel for g in guess_mapping(tmp_path / "log.csv").columns} == {"x", "u"}
+
+
+_SETTINGS = {
+    "none": "",
+    "text": "".join(f"setting {k}: {k / 7:.3f}, or so; see | below\n" for k in range(40)) + "\n",
+    "two cells": "vehicle{0}Otter\nrate{0}10\nmass{0}33.5\n",
+    "as many cells": "Versuch 3{0}{0}\nDatum{0}1.3.2024{0}\n\nRate{0}10{0}\nStart{0}{0}\n",
+    "a number": "12\n",
+}
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+@pytest.mark.parametrize("above", _SETTINGS.values(), ids=_SETTINGS)
+@pytest.mark.parametrize("units", [False, True])
+def test_settings_above_the_header_are_skipped(
+    units: bool, above: str, delimiter: str, tmp_path: Path
+) -> None:
+    """Also where rows begin like one of them, and where a comma is the decimal sign; in parts, too."""
+    names, rows = _text(delimiter).split("\n", 1)
+    if delimiter != ",":
+        rows = rows.replace(".", ",")
+    text = above.format(delimiter) + names + "\n" + delimiter.join(["s", "m", "m/s"]) * units + "\n" + rows
     (tmp_path / "log.csv").write_text(text)
-    if text.startswith("#"):
-        assert {g.channel for g in guess_mapping(tmp_path / "log.csv").columns} == {"x", "u"}
-    else:
-        with pytest.raises(UndertowError, match="line 2 has 3 cells, the header 1"):
-            guess_mapping(tmp_path / "log.csv")
+    meaning = guess_mapping(tmp_path / "log.csv").meaning
+    assert (meaning.delimiter, meaning.decimal) == (delimiter, "." if delimiter == "," else ",")
+    assert meaning.skip == above.count("\n")
+    run = read_log(tmp_path / "log.csv", meaning)
+    np.testing.assert_allclose(run.channels["x"], 0.2 * np.arange(ROWS), atol=1e-12)
+    (long,) = long_logs(tmp_path / "log.csv", meaning)
+    parts = [part.run.channels["x"] for part in long.parts(rows=15, overlap=0)]
+    np.testing.assert_allclose(np.concatenate(parts), 0.2 * np.arange(ROWS), atol=1e-12)
+    assert long.size[1] == 3
+
+
+def test_where_a_line_is_too_long_is_counted_from_the_top(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("one\ntwo\nt,x,u\n0,1,2\n0.1,2,3,4,5\n")
+    with pytest.raises(UndertowError, match=r"line 5 has 5 cells, the header 3: .* skip"):
+        read_log(tmp_path / "log.csv", LogMapping(skip=2))
+    with pytest.raises(UndertowError, match="no header"):
+        read_log(tmp_path / "log.csv", LogMapping(skip=20))
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])

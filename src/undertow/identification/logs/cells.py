@@ -18,6 +18,14 @@ _VARIABLES = re.compile(
 )
 
 
+def below(text: bytes, lines: int) -> bytes:
+    """A text without so many of its lines."""
+    if lines == 0:  # a long one is not copied
+        return text
+    parts = text.split(b"\n", lines)
+    return parts[lines] if len(parts) > lines else b""
+
+
 def plain_text(text: bytes, delimiter: str) -> bytes:
     """A text without what a file system leaves behind where power was lost, and with one end of each line.
 
@@ -33,6 +41,19 @@ def plain_text(text: bytes, delimiter: str) -> bytes:
     names = re.findall(rb'"([^"]*)"|([^\s,"]+)', found[1]) if found else []
     return sign.join(b'"%b"' % (a or b).strip() for a, b in names) + b"\n" * bool(found) + rows
 
+
+def without_units(table: pl.DataFrame) -> pl.DataFrame:
+    """A table of texts without rows below its names in which no cell begins with a number: units, remarks."""
+    if any(kind != pl.String for kind in table.schema.values()):
+        return table
+    numbered = table.head(_MOST_ROWS_OF_UNITS + 1).select(
+        pl.any_horizontal(pl.all().str.contains(r"^\s*[-+]?\.?\d").fill_null(value=False))
+    )
+    first = numbered.to_series().arg_true()
+    return table.slice(first.item(0)) if len(first) else table
+
+
+_MOST_ROWS_OF_UNITS = 3
 
 # A date whose year comes first means the same whatever is between its numbers.
 DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"

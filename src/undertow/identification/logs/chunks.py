@@ -20,6 +20,7 @@ from undertow.errors import UndertowError
 from undertow.files import file_hash
 
 from . import opening
+from .cells import below
 from .formats.fieldlog import Window
 from .mapping import CommandPolicy, LogMapping, name_of_log
 from .opening import FieldLogs
@@ -155,7 +156,9 @@ class LongLog:
         lines = text.split(b"\n")
         whole = size_of(self.path)
         length = np.mean([len(line) + 1 for line in lines[:-1]] or [max(whole, 1)])
-        return int(whole / length), columns_of(header_of(text, self.mapping), self.mapping)
+        return int(whole / length), columns_of(
+            header_of(below(text, self.mapping.skip), self.mapping), self.mapping
+        )
 
     def segments(self, column: str) -> list[pl.LazyFrame]:
         """The segments of its file: lazily of a Parquet file, in memory of a text."""
@@ -206,7 +209,7 @@ class LongLog:
                     file.readline(WHOLE.line)
                 lines = list(islice(_lines(file, self._where), rows))
                 if lines:
-                    table = read_table(header + b"".join(lines), self.mapping, self._where)
+                    table = read_table(header + b"".join(lines), self._of_rows, self._where)
                     yield with_even_times(table, self.mapping)
 
     def _later(self, t: NDArray[np.float64], latest: float) -> NDArray[np.bool_]:
@@ -278,13 +281,19 @@ class LongLog:
             first = 0
             while new := list(islice(stream, rows - len(kept))):
                 lines = kept + new
-                table = read_table(header + b"".join(lines), self.mapping, self._where)
+                table = read_table(header + b"".join(lines), self._of_rows, self._where)
                 yield with_even_times(table, self.mapping, first)
                 kept = lines[-overlap:] if overlap else []
                 first += table.height - len(kept)
 
+    @property
+    def _of_rows(self) -> LogMapping:
+        """The mapping of rows with the header, without the lines above it."""
+        return self.mapping.model_copy(update={"skip": 0})
+
     def _header(self, lines: Iterator[bytes]) -> bytes:
-        if header := next((line for line in lines if header_of(line, self.mapping)), b""):
+        rest = islice(lines, self.mapping.skip, None)
+        if header := next((line for line in rest if header_of(line, self.mapping)), b""):
             return header
         raise UndertowError(f"{self._where} is empty (no header): check that it is complete")
 

@@ -18,7 +18,7 @@ from undertow.model.units import PULSES, scale_offset
 from undertow.model.vehicle import Vehicle
 from undertow.typing import Array
 
-from .cells import letters_beside
+from .cells import letters_beside, without_units
 from .guess_frames import (
     Axes,
     Guess,
@@ -59,8 +59,8 @@ from .guess_rows import (
     numbers_of,
     times_of_rows,
     unit_in,
-    whole_table,
 )
+from .guess_text import whole_table
 from .mapping import LogMapping, angles
 from .run import FORCES, UNITS, without_jumps
 from .table import joined_rows, texts_in
@@ -211,7 +211,9 @@ def _with_gaps(
 ) -> tuple[LogMapping, list[str]]:
     """The mapping of a table whose columns have cells without a number, and questions on these."""
     lost = {c: texts for c in table.columns if c in used and (texts := texts_in(table, c, reading))}
-    asked = [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in lost.items()]
+    rows = without_units(table) if lost else table
+    doubted = {c: texts for c in lost if (texts := texts_in(rows, c, reading))}
+    asked = [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in doubted.items()]
     blank = [name for name, values in commands.items() if np.isnan(values).any()]
     changes: dict[str, str] = {"not_numbers": "missing"} if lost else {}
     if blank and reading.missing_commands == "refuse":

@@ -334,7 +334,7 @@ class GuessedMapping:
         ]
         head += [
             f"{key} = {_toml(getattr(self.reading, key))}"
-            for key in ("delimiter", "comment", "not_numbers", "missing_commands")
+            for key in ("delimiter", "decimal", "comment", "skip", "not_numbers", "missing_commands")
             if getattr(self.reading, key) != LogMapping.model_fields[key].default
         ]
         left: list[str] = []

@@ -1,15 +1,11 @@
-"""How the text of a table is written, and which of its columns counts the time, in what unit."""
+"""Which column of a table counts the time, in what unit, and what the cells of others are."""
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from gzip import GzipFile
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -22,20 +18,7 @@ from .guess_frames import Guess
 from .guess_names import Name, is_clock, stated_unit, unit_of_clock
 from .mapping import SECONDS, LogMapping, metres_per_degree, spacing_of
 from .run import MEASURABLE, far_from_usual, later_than_before
-from .table import (
-    DAMAGED,
-    file_bytes,
-    has_dates,
-    is_dates,
-    is_gzip,
-    is_number,
-    is_parquet,
-    numbers,
-    read_table,
-    seconds,
-    texts_in,
-    unit_of_cells,
-)
+from .table import has_dates, is_dates, numbers, seconds, texts_in, unit_of_cells
 
 
 @dataclass(frozen=True)
@@ -69,20 +52,14 @@ SETTINGS = ClockSettings()
 
 
 @dataclass(frozen=True)
-class TextSettings:
-    """Settings for recognising how a text is written."""
+class TurnSettings:
+    """Settings for recognising several things whose rows take turns."""
 
-    lines: int = 50  # lines by which the delimiter of cells is recognised
-    begin: int = 100_000  # bytes in which lines above the header are looked for
-    signs: str = "#%!*"  # with which comments begin, and no row
-    longest: int = 5  # characters of `comment` in a mapping file
-    # Of several things whose rows take turns: share of rows that are of another one than the row before, and
-    # how many there may be.
-    turns: float = 0.5
-    things: int = 16
+    turns: float = 0.5  # share of rows that are of another thing than the row before
+    things: int = 16  # how many there may be
 
 
-TEXT = TextSettings()
+TURNS = TurnSettings()
 
 
 def times_of_rows(table: pl.DataFrame, data: Mapping[str, Array], time: Guess, where: str) -> Array:
@@ -395,51 +372,7 @@ def _unit_question(step: float, unit: str, one: str) -> str:
     return f"{step:.4g} from {one} to {one}: that is {', '.join(rates)}; {'which' if better else 'is it'}?"
 
 
-# --- text -----------------------------------------------------------------------------------------
-def whole_table(path: Path) -> tuple[pl.DataFrame, LogMapping]:
-    """The rows of a log, and the format of its text."""
-    data, where = file_bytes(path), f"log {path}"
-    reading = LogMapping(comment=None if is_parquet(data) else _comment(data))
-    table = read_table(data, reading, where, path)
-    sign = _delimiter(table) if len(table.columns) == 1 else None
-    if sign is not None:
-        reading = reading.model_copy(update={"delimiter": sign})
-        table = read_table(data, reading, where, path)
-    return table, reading
-
-
-def _comment(data: bytes) -> str | None:
-    """With what the lines above the header of a text begin: a sign, or a title alone; None without any."""
-    begin = b""
-    with suppress(*DAMAGED):  # which is said where the whole is read
-        begin = GzipFile(fileobj=io.BytesIO(data)).read(TEXT.begin) if is_gzip(data) else data
-    lines = begin[: TEXT.begin].decode("utf-8-sig", "replace").splitlines()
-    first, *below = [line.strip() for line in lines if line.strip()] or [""]
-    sign = first[:1] if first[:1] in TEXT.signs else ""
-    begins = sign or first[: TEXT.longest].rstrip()
-    above = [first, *(line for line in below if line.startswith(begins))]
-    rest = [line for line in below if line not in above]
-    alone = len(above) == 1 and not is_number(first)
-    if len(rest) < 2 or not (sign or alone):
-        return None
-    return begins if any(_is_header(rest[0], rest[1], above, delimiter) for delimiter in ",;\t|") else None
-
-
-def _is_header(line: str, row: str, above: list[str], delimiter: str) -> bool:
-    """Whether a line has names for as many cells as the row below it, and more than any line above."""
-    names, cells = line.split(delimiter), row.split(delimiter)
-    most = max(len(title.split(delimiter)) for title in above)
-    named = len(names) - len(cells) in (0, -1) and not any(is_number(name) for name in names)
-    return named and most < len(names) and any(is_number(cell.replace(",", ".")) for cell in cells)
-
-
-def _delimiter(table: pl.DataFrame) -> str | None:
-    """The delimiter of the cells of a table read as one column: the sign that most of its lines have."""
-    (name,) = table.columns
-    lines = [line.strip() for line in (name, *table[name].head(TEXT.lines).drop_nulls().cast(pl.String))]
-    return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
-
-
+# --- texts in cells -----------------------------------------------------------------------------
 def numbers_of(table: pl.DataFrame, name: str, reading: LogMapping) -> Array | None:
     """The numbers of a column; None where it is one of dates, or has more texts than numbers."""
     if is_dates(table, name):
@@ -467,6 +400,6 @@ def number_of_things(data: Mapping[str, Array]) -> str:
         there, words = column[np.isfinite(column)], {*Name.of(name).words}
         if not words or not words <= _NUMBERS or len(there) < 2 or np.any(there != np.round(there)):
             continue
-        if np.mean(np.diff(there) != 0) > TEXT.turns and 1 < len(np.unique(there)) <= TEXT.things:
+        if np.mean(np.diff(there) != 0) > TURNS.turns and 1 < len(np.unique(there)) <= TURNS.things:
             return name
     return ""

@@ -218,9 +218,12 @@ class LogMapping(_Strict):
     delimiter: str = Field(default=",", min_length=1, max_length=1, pattern=r"[\x01-\x7f]")
     decimal: Literal[".", ","] = "."
     comment: str | None = Field(default=None, min_length=1, max_length=5)
+    # Lines above the header that are left out: a title, settings of the run.
+    skip: int = Field(default=0, ge=0, le=10_000)
     # Texts and numbers that mean a missing sample, besides empty cells and NaN.
     missing: tuple[float | str, ...] = ()
-    # What to do with cells that are not numbers; a number with a unit ("1.76V") is one.
+    # What to do with cells that are not numbers; a number with a unit ("1.76V") is one. With "missing", a line
+    # of units below the names is left out.
     not_numbers: Literal["refuse", "missing"] = "refuse"
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do if a command has no sample

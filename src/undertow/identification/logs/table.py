@@ -30,7 +30,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
-from .cells import DATE, as_iso, plain_text, with_signs, with_signs_beside
+from .cells import DATE, as_iso, below, plain_text, with_signs, with_signs_beside, without_units
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -348,7 +348,7 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     _refuse_packed(text, where)
-    text = plain_text(text, mapping.delimiter)
+    text = plain_text(below(text, mapping.skip), mapping.delimiter)
     header = header_of(text, mapping)
     limits.check(len(text), text.count(b"\n"), columns_of(header, mapping), where)
     if not text.isascii():
@@ -383,6 +383,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     if len(table.columns) != len(names):
         raise UndertowError(f"{where} has a header with a quote that does not end: write its names anew")
     # Spreadsheets leave several without a name behind a table: only the first, an index, can be meant.
+    table = without_units(table) if mapping.not_numbers == "missing" else table
     return table.drop(n for n, name in zip(table.columns, names, strict=True) if n and not name.strip())
 
 
@@ -422,17 +423,16 @@ def _refuse_no_names(names: list[str], after: list[str], where: str, delimiter: 
 
 def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowError | None:
     """The error where a line has more cells than the header names; None where none has."""
-    lines = io.TextIOWrapper(io.BytesIO(text), encoding="utf-8-sig", newline="")
-    rows, known = csv.reader(lines, delimiter=mapping.delimiter), 0
+    rows, known = csv.reader(io.StringIO(text.decode("utf-8-sig")), delimiter=mapping.delimiter), 0
     for row in rows:
         if not row or (mapping.comment and row[0].startswith(mapping.comment)):
             continue
-        known = known or len(row)
-        if len(row) > known:
+        if len(row) > (known := known or len(row)):
+            line = rows.line_num + mapping.skip
             return UndertowError(
-                f"{where} cannot be read as a table: line {rows.line_num} has {len(row)} cells, the header "
-                f"{known}: delete lines that are neither header nor data, or state how such lines begin as "
-                "`comment` in a mapping file"
+                f"{where} cannot be read as a table: line {line} has {len(row)} cells, the header {known}: "
+                "delete lines that are neither header nor data, or state delimiter, comment and skip (lines "
+                "above the header) in a mapping file, as undertow map new does"
             )
     return None
 
@@ -464,7 +464,7 @@ def _unpacked(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -
             while piece := stream.read(WHOLE.piece):
                 pieces.append(piece)
                 size, rows = size + len(piece), rows + piece.count(b"\n")
-                columns = columns or columns_of(header_of(piece, mapping), mapping)
+                columns = columns or columns_of(header_of(below(piece, mapping.skip), mapping), mapping)
                 limits.check(size, rows, columns, where)
     except DAMAGED as error:
         raise UndertowError(f"{where} is a damaged gzip file ({error}): copy it again") from error

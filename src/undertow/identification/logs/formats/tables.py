@@ -29,9 +29,9 @@ from undertow.identification.logs.guess_rows import (
     numbers_of,
     unit_by_steps,
     unit_in,
-    whole_table,
     with_nanoseconds,
 )
+from undertow.identification.logs.guess_text import whole_table
 from undertow.identification.logs.mapping import SECONDS, name_of_log
 from undertow.identification.logs.run import UNITS, later_than_before
 from undertow.identification.logs.table import WHOLE, lacking_zeros
