@@ -98,6 +98,21 @@ def test_moos_counts_east_north_and_clockwise(tmp_path: Path) -> None:
     assert run.channels["psi"] == pytest.approx(np.pi / 2)
 
 
+def test_a_moos_log_of_another_kind_is_refused_with_what_to_give(tmp_path: Path) -> None:
+    text = "%% LOG FILE: dive\n%% TIME NAV_X NAV_Y\n0.0 NaN 1.5 1\n0.2 3.1 1.6 2\n"
+    with pytest.raises(UndertowError, match=r"dive.slog is a synchronous MOOS log: give the \.alog"):
+        read_log(_alog(tmp_path, text, "dive.slog"))
+    with pytest.raises(UndertowError, match=r"dive.alog has no line of a time, a variable, its source and a"):
+        read_log(_alog(tmp_path, "0.0 NAV_X 1.5\n0.1 NAV_X 1.6\n"))
+
+
+def test_numbers_of_a_text_without_names_are_known_by_their_places(tmp_path: Path) -> None:
+    lines = "".join(f"{k} PWM p !pwm, *, 1.{k}00, 1.5\n{k} RAW p $GPRMC,{k},7\n" for k in range(4))
+    log = read_field_log(_alog(tmp_path, lines))
+    assert {*log.series} == {"PWM[3]", "PWM[4]"}
+    assert log.series["PWM[3]"].columns["value"] == pytest.approx([1.0, 1.1, 1.2, 1.3])
+
+
 def test_texts_of_moos_with_several_numbers_are_as_many_variables(tmp_path: Path) -> None:
     """The report on the vehicle itself is its motion; those on others are told apart by their names."""
     line = "{0} NODE_REPORT_LOCAL p NAME=a,TYPE=auv,X={0},Y=-7.5,SPD=1e-1,HDG=90,MODE=1.2.3\n"

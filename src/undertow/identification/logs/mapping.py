@@ -222,8 +222,8 @@ class LogMapping(_Strict):
     skip: int = Field(default=0, ge=0, le=10_000)
     # Texts and numbers that mean a missing sample, besides empty cells and NaN.
     missing: tuple[float | str, ...] = ()
-    # What to do with cells that are not numbers; a number with a unit ("1.76V") is one. With "missing", a line
-    # of units below the names is left out.
+    # What to do with cells that are not numbers; a number with a unit ("1.76V") is one. A line of units below
+    # the names is left out with "missing".
     not_numbers: Literal["refuse", "missing"] = "refuse"
     ignore: tuple[str, ...] = ()  # columns to leave out without a note
     missing_commands: CommandPolicy = "refuse"  # what to do if a command has no sample

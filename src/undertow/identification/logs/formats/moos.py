@@ -10,7 +10,9 @@ import numpy as np
 
 from undertow.errors import UndertowError
 from undertow.identification.logs.mapping import Column, Frames, LogMapping
+from undertow.identification.logs.table import is_number
 
+from .fieldlog import SETTINGS as UNION
 from .fieldlog import FieldLog, Format, Series
 
 # Variables of uSimMarine and the like, and the report of pNodeReporter on its own vehicle; MOOS counts x to
@@ -23,12 +25,17 @@ _KNOWN = {
     Column(channel="u"): ("NAV_SPEED", "NODE_REPORT_LOCAL.SPD"),
 }
 _LAST = "value"
+_SYNCHRONOUS = ".slog"  # values of some variables at even times, the last ones held
 _NUMBERS = re.compile(r"(?:^|,)\s*([A-Za-z_]\w*)\s*=\s*([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?=,|$)")
 """Numbers in a text such as "NAME=henry,X=1.5,Y=-20"."""
 _WHO = re.compile(r"(?:^|,)\s*NAME\s*=\s*([^,]+)")  # reports on other vehicles have the same variable
 
 
 def _read(path: Path, messages: Path | None) -> FieldLog:
+    if path.suffix == _SYNCHRONOUS:
+        raise UndertowError(
+            f"log {path} is a synchronous MOOS log: give the .alog that was written beside it"
+        )
     found: dict[tuple[str, str, str], list[tuple[float, float]]] = defaultdict(list)
     damaged = 0
     with path.open(encoding="utf-8", errors="replace") as lines:
@@ -46,7 +53,10 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
                 for key, number in numbers.items():
                     found[words[1], who[1] if who else "", key].append((t, number))
     if not found:
-        raise UndertowError(f"log {path} contains no numbers: check that it is complete")
+        raise UndertowError(
+            f"log {path} has no line of a time, a variable, its source and a number, as a MOOS .alog has: "
+            "give it as pLogger wrote it"
+        )
     vehicles = Counter(name for name, _ in {(name, who) for name, who, _ in found})
     columns = {
         f"{name}[{who}]{key}" if vehicles[name] > 1 else f"{name}{key}": np.array(rows).T
@@ -63,15 +73,21 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    """The number that was published, or those of a text of several, behind a point and their names."""
+    """The number that was published, or those of a text of several, by their names or by their places."""
     try:
         return {"": float(text)}
     except ValueError:
-        return {f".{name}": float(number) for name, number in _NUMBERS.findall(text)}
+        named = {f".{name}": float(number) for name, number in _NUMBERS.findall(text)}
+    parts = text.split(",")
+    if (
+        named or text.startswith("$") or len(parts) > UNION.widest
+    ):  # a sentence of NMEA has texts like numbers
+        return named
+    return {f"[{k}]": float(part) for k, part in enumerate(parts, 1) if is_number(part)}
 
 
 def _accepts(path: Path, head: bytes) -> bool:
-    return path.suffix == ".alog" or (head.startswith(b"%%%") and b"LOG FILE" in head)
+    return path.suffix in (".alog", _SYNCHRONOUS) or (head.startswith(b"%%%") and b"LOG FILE" in head)
 
 
 FORMAT = Format(
