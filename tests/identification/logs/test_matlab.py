@@ -205,6 +205,23 @@ def test_commands_are_taken_by_their_names_where_these_are_those_of_the_vehicle(
     assert drives == {"log.port": "port", "log.starboard": "starboard"}
 
 
+@pytest.mark.parametrize("names", [("cmd1", "cmd2"), ("port", "starboard")])
+def test_commands_that_are_taken_by_their_numbers_are_asked_about(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    """Sensors of a motor may be numbered like commands, and count other sides first."""
+    t = np.arange(30.0)
+    content = {"log": {"t": t, "u": np.sin(t), names[0]: np.cos(t), names[1]: np.sin(2 * t)}}
+    path = _written(tmp_path, content)
+    said = " ".join(read_log(path, None, ["port", "starboard"]).reader_notes)
+    asked = (
+        "log.cmd1, log.cmd2 are taken for port, starboard by their numbers alone: are they, in this order?"
+    )
+    assert (asked in said) == (names[0] == "cmd1")
+    mapping = read_field_log(path).mapping_for(["port", "starboard"])
+    assert "by their numbers" not in " ".join(read_log(path, mapping, ["port", "starboard"]).reader_notes)
+
+
 def test_a_clock_without_its_first_times_and_in_microseconds_is_one(tmp_path: Path) -> None:
     t = np.arange(40) * 0.1
     clock = np.where(t < 0.2, np.nan, 1e6 * t)

@@ -295,7 +295,8 @@ def opened_field_log(
     required = meaning.required(commands)
     there = {name: column for name, column in meaning.columns.items() if name in required or log.has(name)}
     table = log.table(columns_read(meaning.model_copy(update={"columns": there})), (low, high))
-    notes = (f"read as {log.format}", *log.notes, *(() if mapping else log.remarks))
+    asked = () if mapping else (*log.remarks, *_by_number(log, meaning, [*commands, *also]))
+    notes = (f"read as {log.format}", *log.notes, *asked)
     return Opened(table, meaning, log.sha256, notes)
 
 
@@ -322,6 +323,18 @@ def _refuse_unmatched_motors(log: FieldLog, meaning: LogMapping, commands: Itera
             f"{', '.join(lacking)}: undertow map new {log.path} --vehicle VEHICLE writes a mapping file that "
             "assigns them, or asks which columns they are"
         )
+
+
+def _by_number(log: FieldLog, meaning: LogMapping, commands: Sequence[str]) -> list[str]:
+    """A question on commands that are columns of a log whose numbers alone say which; none where names do."""
+    motors = dict(log.actuators) if log.by_name else {}
+    taken = {n: c.channel for n, c in meaning.columns.items() if n in motors and c.channel in commands}
+    taken = {n: command for n, command in taken.items() if command not in n.split(".")}
+    asked = (
+        f"{', '.join(taken)} are taken for {', '.join(taken.values())} by their numbers alone: are they, in "
+    )
+    asked += f"this order? undertow map new {log.path} --vehicle VEHICLE writes a mapping file for other ones"
+    return [asked] if taken else []
 
 
 def is_dated(table: pl.DataFrame, mapping: LogMapping) -> bool:
