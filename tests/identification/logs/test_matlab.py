@@ -260,11 +260,29 @@ def test_a_log_may_lack_an_optional_column(tmp_path: Path) -> None:
         read_log(path, needed)
 
 
-def test_runs_in_cells_are_refused_with_what_to_do(tmp_path: Path) -> None:
-    cells = np.empty((1, 2), dtype=object)
-    cells[0, 0], cells[0, 1] = np.arange(50.0), np.arange(40.0)
-    with pytest.raises(UndertowError, match=r"tc is a cell array: save each run in a file .* tc\{1\}"):
+def test_runs_in_cells_without_a_time_are_refused(tmp_path: Path) -> None:
+    cells = _cell_array([np.arange(50.0), np.arange(40.0)])
+    with pytest.raises(
+        UndertowError, match=r"no time vector .* \(it has tc, heading\): call one of them time"
+    ):
         read_field_log(_written(tmp_path, {"tc": cells, "heading": cells}))
+
+
+def _cell_array(runs: list[Array]) -> np.ndarray:
+    cells = np.empty((1, len(runs)), dtype=object)
+    cells[0, :] = runs
+    return cells
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_runs_in_cells_of_vectors_are_each_a_log(inside: bool, tmp_path: Path) -> None:
+    """Each variable is a cell array with a vector for each run, in the file or in a struct."""
+    runs = [_run(0.0, 40.0, 0.0), _run(0.0, 30.0, 1.0), _run(0.0, 20.0, 2.0)]
+    content = {name: _cell_array([run[name] for run in runs]) for name in runs[0]}
+    found = read_logs([_written(tmp_path, {"exp": content} if inside else content)], load_vehicle("otter"))
+    assert [len(run.t) for run in found] == [len(run["t"]) for run in runs]
+    for run, written in zip(found, runs, strict=True):
+        np.testing.assert_allclose(run.channels["x"], written["x"])
 
 
 def _run(begin: float, duration: float, phase: float) -> dict[str, Array]:

@@ -9,6 +9,7 @@ from their names.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -58,11 +59,7 @@ def _read(path: Path, messages: Path | None) -> FieldLog:
     untimed: list[str] = []
     found = list(_series(_WORKSPACE, content, {}, untimed))
     if not found:
-        cells = {n: v[0].size for n, v in content.items() if isinstance(v, list) and _is_long(v[0])}
-        if cells:
-            name = max(cells, key=lambda n: cells[n])
-            notes = [f"{name} is a cell array: save each run in a file of its own, such as {name}{{1}}"]
-        texts = [n for n, v in content.items() if is_time(n) and isinstance(v, list) and n not in cells]
+        texts = [n for n, v in content.items() if is_time(n) and isinstance(v, list) and not _is_run(v[0])]
         notes += [f"{n} holds texts that are no dates: save it as numbers, in s" for n in texts]
         what = f" {notes[0]}" if notes else ""
         names = ", ".join(content) or "nothing"
@@ -209,9 +206,9 @@ def _series(
         if length in known and columns:
             yield Series(f"{name}[{length}]" if several else name, known[length], columns)
     inside = name if name != _WORKSPACE else ""
-    for field, value in members.items():
-        for label, struct in _structs(field, value):
-            yield from _series(f"{inside}.{label}" if inside else label, struct, known, untimed)
+    structs = [one for field, value in members.items() for one in _structs(field, value)]
+    for label, struct in (*structs, *_cells(members)):
+        yield from _series(f"{inside}.{label}" if inside else label, struct, known, untimed)
 
 
 def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
@@ -223,8 +220,16 @@ def _structs(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     return []
 
 
-def _is_long(value: Any) -> bool:
-    """Whether it may be a run: more numbers than a name has."""
+def _cells(members: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Runs whose vectors are elements of cell arrays, as structs, counted from one."""
+    lists = {n: v for n, v in members.items() if isinstance(v, list) and all(map(_is_run, v))}
+    counts = Counter(len(v) for v in lists.values())
+    most = max(counts, key=lambda count: counts[count], default=0)
+    return [(f"run({k + 1})", {n: v[k] for n, v in lists.items() if len(v) == most}) for k in range(most)]
+
+
+def _is_run(value: Any) -> bool:
+    """Whether it may be what was measured in a run: more numbers than a name has."""
     return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1
 
 
