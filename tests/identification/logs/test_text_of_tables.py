@@ -171,6 +171,16 @@ def test_parts_of_a_quaternion_are_neither_motions_nor_flags() -> None:
     assert not any("flag" in question for question in guessed.asked)
 
 
+@pytest.mark.parametrize("name", ["As{}_filt", "{}", "pos_{}"])
+def test_a_letter_beside_unknown_words_is_asked_about_as_a_position(name: str) -> None:
+    """`AsX_filt` may be an angular speed, and not only its unit is in question."""
+    t = np.arange(0.0, 60.0, 0.1)
+    columns = {"t": t, name.format("X"): np.sin(t / 3), name.format("Y"): np.cos(t / 3)}
+    said = " ".join(guess_table(pl.DataFrame(columns), Path("log.csv")).asked)
+    assert ("is it the position x, in m?" in said) == ("As" in name)
+    assert ("is it in m?" in said) == ("As" not in name)
+
+
 def test_a_command_to_copy_has_quotes_and_asks_only_for_questions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -439,6 +439,8 @@ def _motion(channel: str, name: Name, data: Mapping[str, Array], flags: Mapping[
     if not unit:
         unit, doubt = _unit(channel, values)
         in_minutes = unit == "deg/s" and "rot" in name.words
+        if channel in POSE[:3] and name.rank[1]:  # a letter beside unknown words may be of any vector
+            doubt = doubt.replace("is it", f"is it the position {channel},")
         doubts.append("degrees a second, or a minute, as in sentences of NMEA 0183?" if in_minutes else doubt)
     elif name.is_motion_by_unit:
         doubts.append(f"its unit is that of a velocity: is it {channel}?")
