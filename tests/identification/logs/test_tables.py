@@ -323,9 +323,9 @@ def test_a_table_of_another_time_than_the_motions_is_noted(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("late", "asked"), [(0.0, False), (40.0, True), (-90.0, True)])
-@pytest.mark.parametrize("place", [True, False])
+@pytest.mark.parametrize("place", ["x", "lat", ""])
 def test_clocks_that_are_far_apart_are_asked_about(
-    tmp_path: Path, late: float, place: bool, *, asked: bool
+    tmp_path: Path, late: float, place: str, *, asked: bool
 ) -> None:
     """By a heading and a yaw rate, or by a position and a speed; the delay that is proposed puts it right."""
     rng, t = np.random.default_rng(5), np.arange(0.0, 300.0, 0.1)
@@ -333,6 +333,8 @@ def test_clocks_that_are_far_apart_are_asked_about(
     r, u = (size * np.convolve(rng.normal(size=len(t)), width, "same") for size in (0.02, 0.05))
     psi, u = 0.1 * np.cumsum(r), 2.0 + u
     track = {"x": 0.1 * np.cumsum(u * np.cos(psi)), "y": 0.1 * np.cumsum(u * np.sin(psi))}
+    if place == "lat":
+        track = {"lat": 63.4 + track["x"] / 111_450.0, "lon": 10.4 + track["y"] / 49_990.0}
     _write(
         tmp_path / "pose.csv",
         {"t": t[::2]} | {n: v[::2] for n, v in (track if place else {"psi": psi}).items()},

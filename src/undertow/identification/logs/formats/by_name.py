@@ -196,7 +196,7 @@ def first_mapping(log: FieldLog, vehicle: Vehicle | None = None) -> GuessedMappi
     if log.by_name or not MEASURED & moves & {guess.channel for guess in known}:
         clock = replace(CLOCK, entry={**CLOCK.entry, "stretch": STRETCH}) if log.intervals else CLOCK
         guess = guess_table(log.beginning(), log.path, vehicle, HELD, clock, log.units)
-        clocks = questions_on_clocks(log, guess.meaning.columns)
+        clocks = questions_on_clocks(log, guess.meaning)
         return replace(guess, questions=(*guess.questions, *clocks))
     moving = _possible_velocities(log, {guess.channel for guess in known}, vehicle)
     commands = vehicle.command_names if vehicle else ()

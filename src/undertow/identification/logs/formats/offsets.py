@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from undertow.identification.logs.mapping import Column
+from undertow.identification.logs.mapping import Channel, Column, LogMapping
 from undertow.identification.logs.run import UNITS
 from undertow.model.units import scale_offset
 from undertow.typing import Array
@@ -31,15 +31,21 @@ SETTINGS = OffsetSettings()
 _Signal = tuple[Array, Array]  # times, s, and values
 
 
-def questions_on_clocks(log: FieldLog, columns: Mapping[str, Column]) -> list[str]:
+def questions_on_clocks(log: FieldLog, meaning: LogMapping) -> list[str]:
     """A question for each series whose rates fit the pose of another at another time."""
-    named = {c.channel: (n, c) for n, c in columns.items() if c.channel in UNITS and log.has(n)}
+    known: dict[str, Column | Channel] = {c.channel: c for c in meaning.columns.values()}
+    sources: dict[str, tuple[str, ...]] = {
+        column.channel: (name,) for name, column in meaning.columns.items()
+    }
+    for channel, entry in meaning.channels.items():  # such as a place by latitude and longitude
+        known[channel], sources[channel] = entry, entry.formula.columns
+    signals = {c: _signal(log, c, known[c], names) for c, names in sources.items() if c in UNITS}
     asked: dict[str, str] = {}
     for pose, rates in ((("psi",), ("r",)), (("x", "y"), ("u", "v"))):
-        found = {channel: _signal(log, *named[channel]) for channel in (*pose, *rates) if channel in named}
-        if not {*pose, rates[0]} <= found.keys():
+        found = {channel: one for channel in (*pose, *rates) if (one := signals.get(channel)) is not None}
+        if not {*pose, rates[0]} <= found.keys() or len({len(found[c][0]) for c in pose}) > 1:
             continue
-        at, by = (named[channel][0].rpartition(".")[0] for channel in (pose[0], rates[0]))
+        at, by = (log.series_and_column(sources[channel][0])[0] for channel in (pose[0], rates[0]))
         moving = [found[c] for c in rates if c in found and len(found[c][0]) == len(found[rates[0]][0])]
         late = None if at == by else _late(_size([_rate(*found[c]) for c in pose]), _size(moving))
         if late is not None:
@@ -51,13 +57,18 @@ def questions_on_clocks(log: FieldLog, columns: Mapping[str, Column]) -> list[st
     return [*asked.values()]
 
 
-def _signal(log: FieldLog, name: str, column: Column) -> _Signal:
-    """Times and values of a column in SI units, where it has any."""
-    series, within = log.series_and_column(name)
-    t, values = log.series[series].t, log.series[series].columns[within]
-    unit = UNITS[column.channel]
+def _signal(log: FieldLog, channel: str, entry: Column | Channel, names: Sequence[str]) -> _Signal | None:
+    """Times and values, in SI units, of a channel where it has any; None for one of several series."""
+    if not all(map(log.has, names)):
+        return None
+    places = {name: log.series_and_column(name) for name in names}
+    if len({series for series, _ in places.values()}) != 1:
+        return None
+    cells = {name: log.series[series].columns[column] for name, (series, column) in places.items()}
+    values = entry.formula.of(cells) if isinstance(entry, Channel) else cells[names[0]]
+    t, unit = log.series[places[names[0]][0]].t, UNITS[channel]
     there = np.isfinite(t) & np.isfinite(values)
-    return t[there], scale_offset(column.unit or unit, unit)[0] * values[there]
+    return t[there], scale_offset(entry.unit or unit, unit)[0] * values[there]
 
 
 def _rate(t: Array, values: Array) -> _Signal:

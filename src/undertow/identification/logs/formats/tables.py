@@ -103,7 +103,7 @@ def _guessed(log: FieldLog) -> FieldLog:
         log,
         mapping=mapping,
         actuators=numbered(motors, columns, known),
-        remarks=(*guess.asked, *questions_on_clocks(log, columns)),
+        remarks=(*guess.asked, *questions_on_clocks(log, mapping)),
     )
 
 
