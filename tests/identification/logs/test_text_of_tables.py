@@ -71,7 +71,9 @@ def test_settings_above_the_header_are_skipped(
         rows = rows.replace(".", ",")
     text = above.format(delimiter) + names + "\n" + delimiter.join(["s", "m", "m/s"]) * units + "\n" + rows
     (tmp_path / "log.csv").write_text(text)
-    meaning = guess_mapping(tmp_path / "log.csv").meaning
+    guessed = guess_mapping(tmp_path / "log.csv")
+    assert any(asked.startswith("t: ") for asked in guessed.asked) != units
+    meaning = guessed.meaning
     assert (meaning.delimiter, meaning.decimal) == (delimiter, "." if delimiter == "," else ",")
     assert meaning.skip == above.count("\n")
     run = read_log(tmp_path / "log.csv", meaning)
@@ -80,6 +82,21 @@ def test_settings_above_the_header_are_skipped(
     parts = [part.run.channels["x"] for part in long.parts(rows=15, overlap=0)]
     np.testing.assert_allclose(np.concatenate(parts), 0.2 * np.arange(ROWS), atol=1e-12)
     assert long.size[1] == 3
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_degree_signs_of_any_encoding_are_units(encoding: str, tmp_path: Path) -> None:
+    """As spreadsheets and data loggers save them on Windows; in parts, too."""
+    rows = "".join(f"{0.1 * k:.1f};{0.2 * k:.1f};{k}\n" for k in range(ROWS))
+    path = tmp_path / "log.csv"
+    path.write_text("Größe: 3 µm\nt;x;Heading [°]\n" + rows, encoding=encoding)
+    meaning = guess_mapping(path).meaning
+    assert meaning.columns["Heading [°]"].unit == "deg"
+    run = read_log(path, meaning)
+    np.testing.assert_allclose(run.channels["psi"], np.radians(np.arange(ROWS)))
+    (long,) = long_logs(path, meaning)
+    parts = [part.run.channels["psi"] for part in long.parts(rows=15, overlap=0)]
+    np.testing.assert_allclose(np.concatenate(parts), run.channels["psi"])
 
 
 def test_where_a_line_is_too_long_is_counted_from_the_top(tmp_path: Path) -> None:

@@ -18,12 +18,29 @@ _VARIABLES = re.compile(
 )
 
 
+# Bytes that are in no text.
+_NO_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f\x81\x8d\x8f\x90\x9d]")
+
+
 def below(text: bytes, lines: int) -> bytes:
     """A text without so many of its lines."""
     if lines == 0:  # a long one is not copied
         return text
     parts = text.split(b"\n", lines)
     return parts[lines] if len(parts) > lines else b""
+
+
+def as_utf8(text: bytes) -> bytes:
+    """A text in UTF-8; one of Windows, in which a degree sign is one byte, is converted."""
+    if text.isascii():
+        return text
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError:
+        if _NO_TEXT.search(text):
+            raise
+        return text.decode("cp1252").encode("utf-8")
+    return text
 
 
 def plain_text(text: bytes, delimiter: str) -> bytes:

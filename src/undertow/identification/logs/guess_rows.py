@@ -118,7 +118,10 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
     times = seconds(table, found, where)[0] if dated else data[found]
     sampled = _sampled(data, found, len(times))
     kept = times[sampled & np.isfinite(times)]
-    stated, step = unit_of_clock(found), float(np.median(np.diff(kept[later_than_before(kept)])))
+    stated, step = (
+        unit_of_clock(found) or _unit_below(table, found),
+        float(np.median(np.diff(kept[later_than_before(kept)]))),
+    )
     stated = "s" if found in halves else stated
     unit = "iso" if dated else stated or unit_by_steps(times, step)
     rate = 1.0 / max(step * SECONDS.get(unit, 1.0), 1e-12)
@@ -134,6 +137,12 @@ def clock_of(table: pl.DataFrame, data: Mapping[str, Array], where: str) -> Gues
         entry["disorder"] = "drop"
         asked.append((_LATE if late < SETTINGS.late else _COARSE).format(late))
     return Guess(found, entry, " ".join(asked))
+
+
+def _unit_below(table: pl.DataFrame, name: str) -> str:
+    """The unit of a clock that stands in a line below the names; "" for none."""
+    first = str(table[name][0]).strip(" []()") if table[name].dtype == pl.String else ""
+    return unit_of_clock(f"t ({first})")
 
 
 def _are_six_digits(column: pl.Series) -> bool:

@@ -30,7 +30,7 @@ from undertow.errors import UndertowError, nearest
 from undertow.files import files_beside
 from undertow.model.units import is_unit, same_unit
 
-from .cells import DATE, as_iso, below, plain_text, with_signs, with_signs_beside, without_units
+from .cells import DATE, as_iso, as_utf8, below, plain_text, with_signs, with_signs_beside, without_units
 from .mapping import Column, LogMapping
 
 # --- a helper process for decoders that may crash -------------------------------------------------
@@ -348,17 +348,15 @@ def _tidy(read: Callable[[], pl.DataFrame], where: str) -> pl.DataFrame:
 def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.DataFrame:
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     _refuse_packed(text, where)
-    text = plain_text(below(text, mapping.skip), mapping.delimiter)
+    try:
+        text = plain_text(as_utf8(below(text, mapping.skip)), mapping.delimiter)
+    except UnicodeDecodeError as error:
+        byte = f"byte {error.start} is 0x{error.object[error.start]:02x}"
+        raise NotTextError(
+            f"{where} is not UTF-8 text ({byte}): save it as UTF-8, if it is a table"
+        ) from error
     header = header_of(text, mapping)
     limits.check(len(text), text.count(b"\n"), columns_of(header, mapping), where)
-    if not text.isascii():
-        try:
-            text.decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise NotTextError(
-                f"{where} is not UTF-8 text (byte {error.start} is 0x{text[error.start]:02x}): save it as "
-                "UTF-8, if it is a table"
-            ) from error
     if not header:
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
