@@ -150,7 +150,8 @@ def guess_table(
     along_earth = all(c in motion and motion[c].along_earth for c in ("u", "v"))
     known = {g.channel: data[g.column] * _factor(g) for g in read}
     known |= {"psi": without_jumps(t, known["psi"])} if "psi" in known else {}
-    axes = axes_of(known | fixed | attitude, t, along_earth=along_earth)
+    to_north = bool(globe) or ("x" in motion and motion["x"].is_to_north)
+    axes = axes_of(known | fixed | attitude, t, along_earth=along_earth, to_north=to_north)
     read = with_rates(read, names, data, (t, known | attitude), axes)
     read += _computed(turned, formulas(turned) if turned else {}, "rad", _UNNAMED if unnamed else "")
     read += _by_fixes(globe, place, data, flags, letters_beside(table))

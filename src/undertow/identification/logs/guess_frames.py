@@ -35,17 +35,22 @@ class FrameSettings:
 SETTINGS = FrameSettings()
 
 _HERE, _EARTH = "the axes written here", "velocities along the axes of the position"
+_SWAPPED = "x east and y north"
 _EAST = "velocities east and north, the position north and east"
 _WHICH = "north-east-down and forward-starboard-down, or all of it east-north-up and forward-left-up?"
 _HEADING = (
     "does the heading grow clockwise seen from above, as that of a compass? If it grows the other way: "
     'position = "ENU", body = "FLU"'
 )
+_TURNED = (
+    "so the heading grows from east to north, anticlockwise? Then make the column to the east x, that to the "
+    'north y, with position = "ENU", attitude = "ENU", and body = "FLU" if the yaw rate grows as the heading'
+)
 # Keys of [frames], whether y and x change places, v changes sign, velocities are along earth axes, and
 # whether these are east and north.
 _ENTRIES: dict[str, tuple[dict[str, str], tuple[bool, bool, bool, bool]]] = {
     _HERE: ({"position": "NED", "body": "FRD"}, (False, False, False, False)),
-    "x east and y north": (
+    _SWAPPED: (
         {"position": "ENU", "body": "FRD", "attitude": "NED"},
         (True, False, False, False),
     ),
@@ -67,10 +72,12 @@ class Axes:
     questions: tuple[str, ...] = ()
 
 
-def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = False) -> Axes:
+def axes_of(
+    channels: Mapping[str, Array], t: Array, *, along_earth: bool = False, to_north: bool = False
+) -> Axes:
     """The axes that position, heading and velocity (by channel, SI) agree with, as far as logged.
 
-    `along_earth`: the velocities are called those to the north and to the east.
+    `along_earth`: the velocities are called those to the north and to the east; `to_north`: so are x and y.
     """
     if along_earth:
         return Axes(_ENTRIES[_EARTH][0], (_HEADING,) if "psi" in channels else ())
@@ -79,19 +86,29 @@ def axes_of(channels: Mapping[str, Array], t: Array, *, along_earth: bool = Fals
         return Axes(
             questions=(f"{_WHICH} Position and heading, which would decide, are not both logged",) * turning
         )
-    if "u" not in channels:
-        course = "A vehicle that goes ahead moves where its heading points: does it, with these axes?"
-        return Axes(questions=(f"{_WHICH} {course}", _HEADING))
-    left = least_unexplained_shares(t, channels)
+    logged = "u" in channels
+    left = least_unexplained_shares(t, channels if logged else {**channels, "u": _pace(t, channels)})
+    if not logged:  # a vehicle that goes ahead has no speed along other axes
+        left = {name: share for name, share in left.items() if name in (_HERE, _SWAPPED)}
     if len(left) < 2:
         return Axes(questions=(_WHICH, _HEADING))
     best, other, *_ = sorted(left, key=lambda name: left[name])
     shares = f"{best} {left[best]:.0%}, {other} {left[other]:.0%}"
-    finding = f"velocity and heading leave these shares of the change of position unexplained: {shares}"
+    by = "velocity and heading leave" if logged else "going where the heading points leaves"
+    finding = f"{by} these shares of the change of position unexplained: {shares}"
     if left[best] > SETTINGS.agrees or left[best] > SETTINGS.clearly * left[other]:
         return Axes(questions=(f"{finding}. That is not decisive: which axes are they?", _HEADING))
-    doubts = [_HEADING] if best in (_HERE, _EARTH, _EAST) else []
+    if to_north and _ENTRIES[best][1][0]:
+        return Axes(questions=(f"{finding}. But x is called north and y east: {_TURNED}",))
+    doubts = [_HEADING] if best in (_HERE, _EARTH, _EAST) and not (to_north and best == _HERE) else []
     return Axes(_ENTRIES[best][0], (f"{finding}. Hence these axes: is that right?", *doubts))
+
+
+def _pace(t: Array, channels: Mapping[str, Array]) -> Array:
+    """Speed by the change of position, m/s."""
+    half = SETTINGS.over[0] / 2
+    x, y = (np.interp(t + half, t, channels[n]) - np.interp(t - half, t, channels[n]) for n in ("x", "y"))
+    return np.asarray(np.hypot(x, y) / (2 * half))
 
 
 def least_unexplained_shares(t: Array, channels: Mapping[str, Array]) -> dict[str, float]:

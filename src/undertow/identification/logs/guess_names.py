@@ -269,6 +269,11 @@ class Name:
         return self._along_earth is not None and self.motion() in VELOCITY[:3]
 
     @property
+    def is_to_north(self) -> bool:
+        """Whether it says that it grows to the north."""
+        return bool(_NORTH & {*self.words})
+
+    @property
     def is_upward(self) -> bool:
         """Whether it grows upwards."""
         return self.is_height or bool({"up", "vu"} & self._with_pairs)
