@@ -14,6 +14,7 @@ from undertow.identification.logs.chunks import long_logs
 from undertow.identification.logs.guess import guess_mapping, guess_table
 from undertow.identification.logs.mapping import LogMapping
 from undertow.identification.logs.reading import read_log
+from undertow.model.loading import load_vehicle
 
 ROWS = 40
 
@@ -97,6 +98,21 @@ def test_degree_signs_of_any_encoding_are_units(encoding: str, tmp_path: Path) -
     (long,) = long_logs(path, meaning)
     parts = [part.run.channels["psi"] for part in long.parts(rows=15, overlap=0)]
     np.testing.assert_allclose(np.concatenate(parts), run.channels["psi"])
+
+
+@pytest.mark.parametrize("unit", ["1/min", "rpm", "%"])
+@pytest.mark.parametrize("below", [False, True])
+def test_units_of_commands_are_those_that_the_log_states(below: bool, unit: str, tmp_path: Path) -> None:
+    """In the name, where its number is not that of the motor, or in a line below, which misses no command."""
+    names = ["t [s]", "heading [deg]", *(f"n{k}" if below else f"n{k} [{unit}]" for k in (1, 2))]
+    units = "s,deg," + ",".join([unit, unit]) + "\n"
+    rows = "".join(f"{0.1 * k:.1f},{k},{50 + k % 7},{60 - k % 5}\n" for k in range(ROWS))
+    (tmp_path / "log.csv").write_text(",".join(names) + "\n" + units * below + rows)
+    guessed = guess_mapping(tmp_path / "log.csv", load_vehicle("otter"))
+    assert [g.channel for g in guessed.columns] == ["psi", "port", "starboard"]
+    assert not any("previous value" in asked for asked in guessed.asked)
+    stated = "per cent, but the vehicle file expects N" if unit == "%" else "1 rpm give?"
+    assert all(stated in g.doubt for g in guessed.columns[1:])
 
 
 def test_where_a_line_is_too_long_is_counted_from_the_top(tmp_path: Path) -> None:

@@ -63,9 +63,8 @@ def without_units(table: pl.DataFrame) -> pl.DataFrame:
     """A table of texts without rows below its names in which no cell begins with a number: units, remarks."""
     if any(kind != pl.String for kind in table.schema.values()):
         return table
-    numbered = table.head(_MOST_ROWS_OF_UNITS + 1).select(
-        pl.any_horizontal(pl.all().str.contains(r"^\s*[-+]?\.?\d").fill_null(value=False))
-    )
+    begins = pl.all().str.contains(r"^\s*[-+]?\.?\d") & ~pl.all().str.contains(r"^\s*1/[A-Za-z]")  # "1/min"
+    numbered = table.head(_MOST_ROWS_OF_UNITS + 1).select(pl.any_horizontal(begins.fill_null(value=False)))
     first = numbered.to_series().arg_true()
     return table.slice(first.item(0)) if len(first) else table
 

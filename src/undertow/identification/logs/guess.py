@@ -215,7 +215,8 @@ def _with_gaps(
     rows = without_units(table) if lost else table
     doubted = {c: texts for c in lost if (texts := texts_in(rows, c, reading))}
     asked = [_TEXTS.format(c, texts[0][:40], len(texts)) for c, texts in doubted.items()]
-    blank = [name for name, values in commands.items() if np.isnan(values).any()]
+    above = table.height - rows.height
+    blank = [name for name, values in commands.items() if np.isnan(values[above:]).any()]
     changes: dict[str, str] = {"not_numbers": "missing"} if lost else {}
     if blank and reading.missing_commands == "refuse":
         changes["missing_commands"] = "hold"
@@ -603,6 +604,10 @@ def _command(
         likely = "degrees" if {*name.unnumbered} & ANGLES else "newtons"
         doubt = f"from {least:.3g} to {most:.3g}: {likely}, per cent or something else?"
         doubt += expected if unit == "N" else ""
+        if unit == "N" and name.unit == "%":
+            doubt = (
+                f"up to {most:.3g} per cent, but the vehicle file expects N: give the force of 1% as scale"
+            )
     return Guess(name.column, entry, f"{asked}{doubt}".strip())
 
 

@@ -23,7 +23,8 @@ _UNITS = {
     "cm/s": "cm/s", "cm s": "cm/s", "cmps": "cm/s", "ft/s": "ft/s", "ft s": "ft/s", "mph": "mph",
     "n": "N", "nm": "N m", "kilonewton": "kN", "kilonewton m": "kN m",
     "mps2": "m/s^2", "m s2": "m/s^2", "m/s^2": "m/s^2", "m/s2": "m/s^2", "s": "s",
-    "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "pct": "%", "percent": "%", "%": "%",
+    "sec": "s", "ms": "ms", "us": "us", "ns": "ns", "rpm": "rpm", "1/min": "rpm",
+    "r/min": "rpm", "min^-1": "rpm", "pct": "%", "percent": "%", "%": "%",
     "v": "V", "pwm": "pwm", "mbar": "mbar", "dbar": "dbar", "hpa": "hPa", "kpa": "kPa",
     "mg l": "mg/l", "mg/l": "mg/l", "ug l": "ug/l", "ug/l": "ug/l",
 }  # fmt: skip
@@ -506,10 +507,10 @@ def _sided(name: Name, there: Container[tuple[str, ...]]) -> Name:
 
 
 def rows_by_number(names: Iterable[str]) -> list[list[str]]:
-    """Names that differ in their last number alone, in its order, row by row."""
+    """Names that differ in their last number alone, in its order, row by row; in "[1/min]" there is none."""
     rows: dict[str, list[tuple[int, str]]] = {}
     for name in names:
-        if parts := re.fullmatch(r"(.*?)(\d+)(\D*)", name):
+        if parts := re.fullmatch(r"(.*?)(\d+)(\D*(?:[\[(][^\])]*[a-zA-Z][^\])]*[\])])?)", name):
             rows.setdefault(f"{parts[1]}#{parts[3]}", []).append((int(parts[2]), name))
     return [[name for _, name in sorted(row, key=lambda pair: pair[0])] for row in rows.values()]
 
