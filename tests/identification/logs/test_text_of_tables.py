@@ -115,6 +115,34 @@ def test_units_of_commands_are_those_that_the_log_states(below: bool, unit: str,
     assert all(stated in g.doubt for g in guessed.columns[1:])
 
 
+@pytest.mark.parametrize("above", ["", "# run 3 of boat 7\n"])
+def test_names_behind_the_sign_of_comments_are_a_header(above: str, tmp_path: Path) -> None:
+    """As numpy.savetxt writes them, with blanks between numbers."""
+    (tmp_path / "log.txt").write_text(f"{above}# {_text(' ')}")
+    meaning = guess_mapping(tmp_path / "log.txt").meaning
+    run = read_log(tmp_path / "log.txt", meaning)
+    np.testing.assert_allclose(run.channels["x"], 0.2 * np.arange(ROWS), atol=1e-12)
+    (long,) = long_logs(tmp_path / "log.txt", meaning)
+    parts = [part.run.channels["u"] for part in long.parts(rows=15, overlap=0)]
+    np.testing.assert_allclose(np.concatenate(parts), run.channels["u"])
+
+
+def test_rows_below_settings_without_names_are_refused_as_that(tmp_path: Path) -> None:
+    rows = "".join(f"{0.1 * k:.1f}\t{k}\n" for k in range(ROWS))
+    (tmp_path / "log.tsv").write_text("FRAMES\t40\nBODY\tROV\t1\n" + rows)
+    with pytest.raises(UndertowError, match=r"begins with numbers .* write a line with the names of its 2"):
+        guess_mapping(tmp_path / "log.tsv")
+
+
+def test_quoted_numbers_may_have_decimal_commas_between_commas(tmp_path: Path) -> None:
+    rows = "".join(
+        f'"{0.1 * k:.1f}";"{0.2 * k:.1f}"\n'.replace(".", ",").replace(";", ",") for k in range(ROWS)
+    )
+    (tmp_path / "log.csv").write_text('"t [s]","x [m]"\n' + rows)
+    run = read_log(tmp_path / "log.csv", guess_mapping(tmp_path / "log.csv").meaning)
+    np.testing.assert_allclose(run.channels["x"], 0.2 * np.arange(ROWS), atol=1e-12)
+
+
 def test_where_a_line_is_too_long_is_counted_from_the_top(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("one\ntwo\nt,x,u\n0,1,2\n0.1,2,3,4,5\n")
     with pytest.raises(UndertowError, match=r"line 5 has 5 cells, the header 3: .* skip"):

@@ -43,10 +43,11 @@ def as_utf8(text: bytes) -> bytes:
     return text
 
 
-def plain_text(text: bytes, delimiter: str) -> bytes:
+def plain_text(text: bytes, delimiter: str, comment: str | None = None) -> bytes:
     """A text without what a file system leaves behind where power was lost, and with one end of each line.
 
-    Blanks that are the delimiter are single. Of a Tecplot file the names are the header.
+    Blanks that are the delimiter are single, and where a sign of comments stands before the names, which is
+    not the `comment` of the text, it is none of them. Of a Tecplot file the names are the header.
     """
     text = re.sub(rb"\r\r+\n", b"\n", text.rstrip(b"\0"))
     found, sign = _VARIABLES.match(text), delimiter.encode()
@@ -54,6 +55,7 @@ def plain_text(text: bytes, delimiter: str) -> bytes:
         return text
     # Several blanks in a row are one, as in columns that stand below each other.
     rows = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text[found.end() if found else 0 :])
+    rows = rows if found or comment else re.sub(rb"\A\s*[#%!*][ \t]+", b"", rows)
     rows = re.sub(rb"[ \t,]+" if found else rb"[ \t]+", sign, rows)
     names = re.findall(rb'"([^"]*)"|([^\s,"]+)', found[1]) if found else []
     return sign.join(b'"%b"' % (a or b).strip() for a, b in names) + b"\n" * bool(found) + rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from gzip import GzipFile
@@ -56,18 +56,22 @@ def _written(data: bytes) -> LogMapping:
     first = next((line.strip() for line in lines if line.strip()), "")
     # A header may begin with such a sign, too.
     comments = [sign for sign in first[:1] if sign in TEXT.signs]
-    ways = [(comment, delimiter) for comment in (*comments, None) for delimiter in TEXT.delimiters]
+    ways = [(c, d, _is_header) for c in (*comments, None) for d in TEXT.delimiters]
+    # Rows without names below several lines are refused as what they are.
+    ways += [(None, d, _are_numbers) for d in TEXT.delimiters.rstrip(" ")]
     return next(filter(None, (_written_so(lines, *way) for way in ways)), LogMapping())
 
 
-def _written_so(lines: Sequence[str], comment: str | None, delimiter: str) -> LogMapping | None:
-    """The format of a text with comments and cells of this kind; None where it then has no header."""
+def _written_so(
+    lines: Sequence[str], comment: str | None, delimiter: str, begins: Callable[[Rows], bool]
+) -> LogMapping | None:
+    """The format of a text with comments and cells of this kind; None where no row begins a table."""
     empty = [not line.strip() or bool(comment and line.startswith(comment)) for line in lines]
     rows = [(k, _cells(line, delimiter)) for k, line in enumerate(lines) if not empty[k]]
-    header = next((k for k in range(len(rows)) if _is_header([row for _, row in rows[k:]])), None)
+    header = next((k for k in range(len(rows)) if begins([row for _, row in rows[k:]])), None)
     if header is None:
         return None
-    commas = delimiter != "," and _has_decimal_commas([row for _, row in rows[header + 1 :]])
+    commas = _has_decimal_commas([row for _, row in rows[header + 1 :]])
     above = rows[header][0]
     return LogMapping(
         delimiter=delimiter,
@@ -85,6 +89,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _is_header(rows: Rows) -> bool:
     """Whether the first row names the columns: all below have as many cells, and numbers soon."""
     names, *others = rows
+    if names[0] in [*TEXT.signs]:  # such a sign and a blank before the names
+        names = names[1:]
     if len(names) < 2 or not others or any(map(_is_number, names)):
         return False
     # Each row may end with a delimiter.
@@ -97,6 +103,11 @@ def _is_header(rows: Rows) -> bool:
     # Settings, each beside its name, have the header below them; rows have numbers to the end.
     ends = any(any(row[k] for k in numeric) and not any(map(_is_number, row)) for row in others[first:])
     return not ends and all(names[k] for k in numeric if k)  # an index may have no name
+
+
+def _are_numbers(rows: Rows) -> bool:
+    """Whether all rows have as many cells, all of them numbers."""
+    return len(rows) > 2 and all(len(row) == len(rows[0]) > 1 and all(map(_is_number, row)) for row in rows)
 
 
 def _is_number(cell: str) -> bool:

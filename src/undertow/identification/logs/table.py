@@ -349,7 +349,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
     text = _unpacked(data, mapping, where, limits) if is_gzip(data) else data
     _refuse_packed(text, where)
     try:
-        text = plain_text(as_utf8(below(text, mapping.skip)), mapping.delimiter)
+        text = plain_text(as_utf8(below(text, mapping.skip)), mapping.delimiter, mapping.comment)
     except UnicodeDecodeError as error:
         byte = f"byte {error.start} is 0x{error.object[error.start]:02x}"
         raise NotTextError(
@@ -430,7 +430,7 @@ def _too_many_cells(text: bytes, mapping: LogMapping, where: str) -> UndertowErr
             return UndertowError(
                 f"{where} cannot be read as a table: line {line} has {len(row)} cells, the header {known}: "
                 "delete lines that are neither header nor data, or state delimiter, comment and skip (lines "
-                "above the header) in a mapping file, as undertow map new does"
+                "above the header) in a mapping file, which undertow map new tries to find"
             )
     return None
 
