@@ -1105,8 +1105,8 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
             "begins with numbers (2026-02-04 15:38:48, 853 - INFO - (1.2) …): write a line with the names",
         ),
         (
-            "A tank\n1.2 m/s\n" + "0\t1\t2\n1\t2\t3\n" * 9,
-            "begins with numbers (0, 1, 2 …): write a line with",
+            "A tank\n1.2 m/s\n" + "0\t1.5\t2\n1\t2.5\t3\n" * 9,
+            "begins with numbers (0, 1.5, 2 …): write a line with",
         ),
     ],
 )

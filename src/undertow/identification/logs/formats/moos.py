@@ -79,9 +79,8 @@ def _numbers(text: str) -> dict[str, float]:
     except ValueError:
         named = {f".{name}": float(number) for name, number in _NUMBERS.findall(text)}
     parts = text.split(",")
-    if (
-        named or text.startswith("$") or len(parts) > UNION.widest
-    ):  # a sentence of NMEA has texts like numbers
+    # A sentence of NMEA has texts like numbers.
+    if named or text.startswith("$") or len(parts) > UNION.widest:
         return named
     return {f"[{k}]": float(part) for k, part in enumerate(parts, 1) if is_number(part)}
 
