@@ -447,13 +447,14 @@ def test_a_case_alone_takes_all_cores(
     assert found["cores"] == taken
 
 
-def test_seconds_are_those_on_most_cores() -> None:
-    six = {"motions": ["surge", "sway", "heave", "roll", "pitch", "yaw"]}
+def test_seconds_are_those_on_most_cores_and_of_the_processor_on_one() -> None:
+    six = {"motions": ["surge", "sway", "heave", "roll", "pitch", "yaw"], "cpu": 30.0}
     beside, alone = ({**six, "seconds": s, "cores": c} for s, c in ((50.0, 1), (20.0, 2)))
-    rows = [g.row for g in goals(scored([record(LIFT, "adequate", **one) for one in (beside, alone)]))]
-    (row,) = [r for r in rows if "six degrees" in r[0]]
-    assert row[0].endswith("cores: 2")
-    assert row[1].startswith("20")
+    for cases, said in (([beside, alone], ("2", "20")), ([beside], ("1", "30"))):
+        rows = [g.row for g in goals(scored([record(LIFT, "adequate", **one) for one in cases]))]
+        (row,) = [r for r in rows if "six degrees" in r[0]]
+        assert row[0].endswith(f"cores: {said[0]}")
+        assert row[1].startswith(said[1])
 
 
 def test_nonsense_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from statistics import median
 
 from benchmarks.results.text import MISSING, errors, listed, number, percent, table
-from benchmarks.trust.measure import Record
+from benchmarks.trust.measure import Record, spent
 
 from .cases import Case
 from .injections import INJECTIONS
@@ -277,11 +277,6 @@ def seconds(records: Iterable[Record]) -> str:
     """Median and longest time of a diagnosis."""
     each = [spent(r) for r in records if r["kind"] != "prediction" and "seconds" in r]
     return f"Median {number(median(each))} s, longest {number(max(each))} s.\n" if each else ""
-
-
-def spent(record: Record) -> float:
-    """Processor time on one core, which other work does not lengthen; else that of the clock, s."""
-    return float(record["cpu"] if record.get("cores") == 1 else record["seconds"])
 
 
 INTRODUCTION = """\

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .cases import COMPLETE, HARD
+from .measure import spent
 from .tally import VISIBLE, Scored, Share, of_kind, share
 
 WHOLE_CATALOGUE_SECONDS = 30.0
@@ -111,7 +112,7 @@ def _time(cases: Sequence[Scored]) -> Goal:
     six = [c.record for c in cases if len(c.record["motions"]) == 6 and c.record.get("variant") != "20min"]
     # The goal is for two cores; cases that ran side by side had one each.
     cores = max((r.get("cores", 1) for r in six), default=1)
-    seconds = [r["seconds"] for r in six if r.get("cores", 1) == cores]
+    seconds = [spent(r) for r in six if r.get("cores", 1) == cores]
     middle = float(np.median(seconds)) if seconds else float("nan")
     name = f"median seconds of a diagnosis with six degrees of freedom, cores: {cores}"
     return Goal(

@@ -35,12 +35,17 @@ def measured(
     data = _data(made, keep)
     began, worked = time.perf_counter(), time.process_time()
     outcome = diagnose(*data)
-    spent = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "cores": jobs()}
-    record = described(case, made, data[0]) | _said(outcome.diagnosis) | spent
+    times = {"seconds": time.perf_counter() - began, "cpu": time.process_time() - worked, "cores": jobs()}
+    record = described(case, made, data[0]) | _said(outcome.diagnosis) | times
     record |= _graded(case, made, record, data, outcome)
     if peers:
         record["peers"] = asked(*data)
     return record, outcome
+
+
+def spent(record: Record) -> float:
+    """Processor time on one core, which other work does not lengthen; else that of the clock, s."""
+    return float(record["cpu"] if record.get("cores") == 1 else record["seconds"])
 
 
 def described(case: Planned, made: Case, vehicle: Vehicle) -> Record:
