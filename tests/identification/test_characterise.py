@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from benchmarks.hidden_effects import Case, make_case
 from benchmarks.hidden_effects.registry import ALL, EFFECTS, Draw, HiddenEffect
@@ -346,6 +347,38 @@ def test_noise_has_no_line() -> None:
     assert len(chances) == 20
     assert min(chances) > 1e-4
     assert np.mean(np.array(chances) < 0.1) < 0.25
+
+
+def _slow_series(seed: int, seconds: float, runs: int) -> Series:
+    """Autoregressive forces that forget themselves in some seconds, and white noise."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 100.0, 0.3)
+    a = np.exp(-0.3 / seconds)
+    drive = rng.standard_normal((runs, len(t) + 200)) * np.sqrt(1 - a**2)
+    slow = lfilter([1.0], [1.0, -a], drive)[:, 200:]
+    r = (slow + 0.1 * rng.standard_normal(slow.shape)).ravel()
+    return Series(np.tile(t, runs), r, np.repeat(np.arange(runs), len(t)))
+
+
+@pytest.mark.parametrize("seconds", [1.0, 10.0])
+def test_slow_forces_have_no_line(seconds: float) -> None:
+    """They have most power at the lowest frequencies, where there are few to compare with."""
+    pairs = [(_slow_series(s, seconds, 3), _slow_series(1000 + s, seconds, 1)) for s in range(100)]
+    peaks = [highest_peak(*pair, fastest=0.8) for pair in pairs]
+    chances = np.array([p.chance for p in peaks if p is not None])
+    assert len(chances) == 100
+    assert min(chances) > 1e-4
+    assert np.mean(chances < 0.05) <= 0.06
+
+
+def test_four_periods_of_a_strong_line_are_found_among_slow_forces() -> None:
+    def with_line(seed: int, runs: int) -> Series:
+        slow = _slow_series(seed, 10.0, runs)
+        return replace(slow, r=slow.r + 3.0 * np.sin(2 * np.pi * slow.t / 25.0 + seed + slow.run))
+
+    peak = highest_peak(with_line(1, 3), with_line(2, 1), fastest=0.8)
+    assert peak is not None
+    assert 1 / peak.frequency == pytest.approx(25.0, rel=0.05)
+    assert peak.chance < 1e-4
 
 
 def test_a_line_of_one_run_only_is_not_confirmed() -> None:

@@ -11,7 +11,8 @@ from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, gamma
+from scipy.stats import chi2
+from scipy.stats import f as f_ratio
 
 from undertow.identification.estimation.data import WeakData, blocks_of_time, inverse_of
 from undertow.identification.estimation.prediction_error import AutoregressiveNoise
@@ -43,6 +44,8 @@ class AssociationSettings:
     fewest_periods: float = 3.0  # periods in the shortest run above which a frequency is not a trend
     band: float = 0.1  # half width of a line, as a share of its frequency
     least_band: float = 1.5  # and at least, in frequencies that the log resolves
+    confirmed: float = 0.05  # p-value on validation data alone from which these do not show a frequency
+    neighbours: float = 2.0  # factor in frequency within which the power of noise is much the same
     draws: float = 3.0  # independent powers within the width of a line, about
 
 
@@ -506,6 +509,8 @@ def _coefficients(sample: Sample, columns: Array, stiffness: Array) -> tuple[Arr
 
 # Median over mean of a power that is scattered like that of noise.
 _MEDIAN_OVER_MEAN = float(np.log(2.0))
+# Variance of that median, as a multiple of that of the mean: relative to each, and for many values.
+_MEDIAN_VARIANCE = float(np.log(2.0)) ** -2
 
 
 @dataclass(frozen=True)
@@ -538,7 +543,8 @@ class Peak:
 
     frequency: hz.
     excess: sum of squares of the validation series in its band, above that of the neighbouring frequencies.
-    chance: p-value of the power at this frequency on validation data.
+    chance: p-value of its power in all runs, for as many frequencies as were tried; on validation data alone,
+        if these do not show it.
     """
 
     frequency: float
@@ -547,16 +553,39 @@ class Peak:
 
 
 def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | None:
-    """The frequency with most power above that of its neighbours; None where no run is long enough."""
+    """The frequency that stands out most from its neighbours in all runs; None where these are too short."""
     slowest = SETTINGS.fewest_periods / min(fitted.length, validation.length)
     if slowest >= 0.5 * fastest:
         return None
-    grid = np.arange(slowest, fastest, 1.0 / (SETTINGS.oversampling * max(fitted.length, validation.length)))
+    cell = 1.0 / max(fitted.length, validation.length)
+    # Neighbours on both sides of the slowest frequency, too: slow forces have more power there than above.
+    grid = np.arange(slowest / SETTINGS.neighbours, fastest, cell / SETTINGS.oversampling)
+    own = [_log_p_values(run, grid) for run in (*fitted.runs, *validation.runs)]
+    chances = _combined(own)
+    place = int(np.argmin(np.where(grid < slowest, 1.0, chances)))
     first, second = power(fitted, grid), power(validation, grid)
-    place = int(np.argmax(first / _background(first, grid)))
     frequency = _peak_frequency(grid, first + second, place)
+    tried = SETTINGS.draws * (fastest - slowest) / cell
     excess = _band_excess(second, frequency, grid, validation.length)
-    return Peak(frequency, excess, _peak_p_value(second, grid, place, len(validation.runs)))
+    chance, confirmed = tried * chances[place], _combined(own[-len(validation.runs) :])[place]
+    chance = chance if confirmed < SETTINGS.confirmed else max(chance, confirmed)
+    return Peak(frequency, excess, min(1.0, float(chance)))
+
+
+def _log_p_values(run: Series, grid: Array) -> Array:
+    """Logarithm of the p-value of the power at each frequency, by the background in the same run.
+
+    The background is itself an estimate from a few neighbours: the ratio of both has an F distribution.
+    """
+    powers, (low, high) = _power_of_run(run, grid), _neighbourhoods(grid, grid)
+    independent = (grid[high - 1] - grid[low]) * np.ptp(run.t) / _MEDIAN_VARIANCE
+    ratio = powers / _background(powers, grid)
+    return np.asarray(f_ratio.logsf(ratio, 2, 2 * np.maximum(independent, 1e-3)))
+
+
+def _combined(log_p: Sequence[Array]) -> Array:
+    """p-values of several runs together (Fisher's method): none speaks for all by its power alone."""
+    return np.asarray(chi2.sf(-2.0 * np.sum(log_p, axis=0), 2 * len(log_p)))
 
 
 def power(series: Series, grid: Array) -> Array:
@@ -570,24 +599,22 @@ def _power_of_run(s: Series, grid: Array) -> Array:
 
 
 def _background(power: Array, grid: Array) -> Array:
-    """Mean power that the neighbourhood suggests: from the median within a factor of two in frequency."""
+    """Mean power that the neighbourhood suggests: from the median around each frequency."""
     coarse = grid[:: SETTINGS.oversampling]
-    low, high = np.searchsorted(grid, coarse / 2), np.searchsorted(grid, coarse * 2)
-    medians = [np.median(power[a:b]) for a, b in zip(low, high, strict=True)]
+    medians = [np.median(power[a:b]) for a, b in zip(*_neighbourhoods(grid, coarse), strict=True)]
     return np.asarray(np.interp(grid, coarse, medians) / _MEDIAN_OVER_MEAN)
+
+
+def _neighbourhoods(grid: Array, frequencies: Array) -> tuple[Index, Index]:
+    """Where in a grid the neighbourhood of each frequency begins and ends."""
+    low = np.searchsorted(grid, frequencies / SETTINGS.neighbours)
+    return low, np.searchsorted(grid, frequencies * SETTINGS.neighbours)
 
 
 def _peak_frequency(grid: Array, power: Array, place: int) -> float:
     """Highest point of both data sets together within the width of the line."""
     near = slice(max(place - SETTINGS.oversampling, 0), place + SETTINGS.oversampling + 1)
     return float(grid[near][np.argmax(power[near])])
-
-
-def _peak_p_value(power: Array, grid: Array, place: int, runs: int) -> float:
-    """p-value of the highest power within the line width, about three independent draws."""
-    near = slice(max(place - SETTINGS.oversampling, 0), place + SETTINGS.oversampling + 1)
-    ratio = np.max(power[near]) / _background(power, grid)[place]
-    return float(min(1.0, SETTINGS.draws * gamma.sf(runs * ratio, runs)))
 
 
 def _band_excess(power: Array, frequency: float, grid: Array, length: float) -> float:
