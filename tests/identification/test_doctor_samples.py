@@ -185,6 +185,13 @@ def test_smooth_motions_and_held_values_are_not_interpolated() -> None:
         assert "interpolated" not in _found(_run(t, y=column))
 
 
+def test_a_position_written_with_three_digits_is_not_interpolated() -> None:
+    t = np.arange(0.0, 400.0, 0.135)  # a turning circle: the last digit is a centimetre, a decimetre, a metre
+    y = 100.0 * (1.0 - np.cos(0.007 * t)) + 0.001 * RNG.standard_normal(len(t))
+    rounded = np.array([float(f"{v:.2e}") for v in y])
+    assert "interpolated" not in _found(_run(t, y=rounded))
+
+
 def test_rows_out_of_order_are_a_mistake_until_the_mapping_drops_them() -> None:
     run = replace(_run(np.arange(0.0, 5.0, 0.1), u=RNG.standard_normal(50)), dropped=3)
     found = _found(run)["disorder"]

@@ -369,8 +369,9 @@ def _rows_per_sample(run: Run, name: str) -> float | None:
     samples = np.flatnonzero(corner & ~np.concatenate([[False], corner[:-1]]))
     if len(samples) < SETTINGS.fewest or np.median(bend[corner]) < new:
         return None
-    # A coarse reading goes up and down by the same few steps.
-    coarse = 2 * len(np.unique(np.round(slope[:-1][moving] / rounding))) < len(samples)
+    # Each line between samples has a slope of its own, while a coarse reading goes up and down by the same
+    # few steps: those of each power of ten, if it is written with so many digits.
+    coarse = 2 * len(np.unique(np.round(slope[:-1][moving & ~corner] / rounding))) < len(samples)
     if coarse or np.mean(bend[moving] <= rounding) < SETTINGS.on_lines:
         return None
     return float(np.median(np.diff(samples)))
