@@ -1106,7 +1106,7 @@ def test_what_never_changes_is_no_command_and_a_vector_has_one_unit() -> None:
         ),
         (
             "A tank\n1.2 m/s\n" + "0\t1.5\t2\n1\t2.5\t3\n" * 9,
-            "begins with numbers (0, 1.5, 2 …): write a line with",
+            "has numbers in line 3 (0, 1.5, 2 …): write a line with the names of its 3 columns right above",
         ),
     ],
 )

@@ -130,7 +130,7 @@ def test_names_behind_the_sign_of_comments_are_a_header(above: str, tmp_path: Pa
 def test_rows_below_settings_without_names_are_refused_as_that(tmp_path: Path) -> None:
     rows = "".join(f"{0.1 * k:.1f}\t{k}\n" for k in range(ROWS))
     (tmp_path / "log.tsv").write_text("FRAMES\t40\nBODY\tROV\t1\n" + rows)
-    with pytest.raises(UndertowError, match=r"begins with numbers .* write a line with the names of its 2"):
+    with pytest.raises(UndertowError, match=r"numbers in line 3 .* names of its 2 columns right above it"):
         guess_mapping(tmp_path / "log.tsv")
 
 

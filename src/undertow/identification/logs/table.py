@@ -361,7 +361,7 @@ def _csv(data: bytes, mapping: LogMapping, where: str, limits: LogLimits) -> pl.
         raise UndertowError(f"{where} is empty (no header): check that the log is complete")
     names = next(csv.reader([header.decode("utf-8-sig")], delimiter=mapping.delimiter))
     after = _row_after(header, text, mapping)
-    _refuse_no_names(names, after, where, mapping.delimiter)
+    _refuse_no_names(names, after, where, mapping)
     if len(after) == len(names) + 1 and not after[-1].strip():  # each row ends with a delimiter
         text = re.sub(rb"(?m)%b(?=\r?$)" % re.escape(mapping.delimiter.encode()), b"", text)
     # Polars would give the second of two columns of one name another one, and a blank line below comments is
@@ -400,9 +400,9 @@ def _row_after(header: bytes, text: bytes, mapping: LogMapping) -> list[str]:
     return next(csv.reader([line], delimiter=mapping.delimiter), [])
 
 
-def _refuse_no_names(names: list[str], after: list[str], where: str, delimiter: str) -> None:
+def _refuse_no_names(names: list[str], after: list[str], where: str, mapping: LogMapping) -> None:
     """Refuse a first line with numbers or dates where the line after it has them: that is no header."""
-    if delimiter == " " and 0 < len(after) < len(names):
+    if mapping.delimiter == " " and 0 < len(after) < len(names):
         raise UndertowError(
             f"{where} has {len(names)} names ({' '.join(names)[:60]}), but {len(after)} cells in its first "
             "row: write names with blanks in double quotes"
@@ -413,9 +413,10 @@ def _refuse_no_names(names: list[str], after: list[str], where: str, delimiter: 
     decimals = sum("." in name for name in names if is_number(name))  # hardly names, whatever is below them
     alike = all(numeric) or (any(numeric) and numeric == later) or 2 * decimals > len(names)
     if len(names) > 1 and alike and names not in counted:
+        begins = f"has numbers in line {mapping.skip + 1}" if mapping.skip else "begins with numbers"
         raise UndertowError(
-            f"{where} begins with numbers ({', '.join(names[:3])} …): write a line with the names of its "
-            f"{len(names)} columns on top"
+            f"{where} {begins} ({', '.join(names[:3])} …): write a line with the names of its {len(names)} "
+            f"columns {'right above it' if mapping.skip else 'on top'}"
         )
 
 
