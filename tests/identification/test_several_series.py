@@ -363,6 +363,21 @@ def test_reports_that_a_delay_moves_into_a_gap_of_the_log_are_left_out(tmp_path:
     np.testing.assert_allclose(run.channels["r"][known], np.cos(run.t[known]), atol=1e-9)
 
 
+def test_reports_with_a_delay_are_kept_where_only_a_faster_series_has_a_gap(tmp_path: Path) -> None:
+    """The rows are as close as the commands, which come in bursts; the position goes on without them."""
+    motion, burst = np.arange(0.0, 60.0, 0.25), np.arange(0.0, 60.0, 0.05)
+    burst = burst[burst % 2.0 < 1.2]
+    t = np.union1d(motion, burst)
+    columns = {"x": np.sin(t), "u": np.cos(t - 0.4)}
+    table = pl.DataFrame({"t": t, **{n: np.where(np.isin(t, motion), y, np.nan) for n, y in columns.items()}})
+    table = table.with_columns(f1=np.where(np.isin(t, burst), np.cos(t), np.nan)).fill_nan(None)
+    table.write_csv(tmp_path / "bursts.csv")
+    mapping = {"columns": {"u": {"channel": "u", "delay": "0.4 s"}}, "missing_commands": "hold"}
+    run = read_log(tmp_path / "bursts.csv", LogMapping.model_validate(mapping), ["f1"])
+    assert np.sum(run.reported["u"]) == len(motion) - 2  # the first two are before the first position
+    np.testing.assert_allclose(run.channels["u"][run.reported["u"]], np.cos(run.t[run.reported["u"]]))
+
+
 def test_a_stretch_too_short_for_slow_velocities_counts_reports_and_not_rows(union: list[Run]) -> None:
     """Rows of other sensors in between make no stretch longer, and measured velocities are not derived."""
     first = union[0].t[0]

@@ -414,8 +414,7 @@ def _on_rows(
     if unreadable or not (slow or any(late.values()) or are_several(t, read)):
         means = {n: interpolated_mean(t, Series.of(t, read[n], None)) for n in interpolated}
         return OneClock(t, read | means, {}, several=False)
-    # Reports that a delay moves into a gap of the log are left out: no other channel is known there.
-    in_gap = {n: in_gaps(t, t - late[n]) for n in read if late[n] and len(t) > 1}
+    in_gap = {n: _in_gap_of_others(n, t, read, late) for n in read if late[n]}
     read |= {n: np.where(lost, np.nan, read[n]) for n, lost in in_gap.items()}
     noise = _stated_noise(sources, mapping, where)
     series, angles = {}, {n: without_jumps(t, column) for n, column in read.items() if mapping.jumps(n)}
@@ -425,6 +424,17 @@ def _on_rows(
     common = on_one_clock(series, before, t if slow else None, interpolated)
     jumping = {n: read[n] for n, whole in angles.items() if not np.array_equal(whole, read[n], True)}
     return replace(common, wrapped={n: common.in_rows(n, column) for n, column in jumping.items()})
+
+
+def _in_gap_of_others(name: str, t: Array, read: Channels, late: Mapping[str, float]) -> Flags:
+    """Reports of a channel that its delay moves to where no other channel is known."""
+    # Each by its own clock: the rows of a table are as close as the reports of its fastest series come.
+    clocks = [t[~np.isnan(column)] - late[n] for n, column in read.items() if late[n] != late[name]]
+    clocks = [clock for clock in clocks if len(clock) > 1]
+    lost = ~np.isnan(read[name]) & bool(clocks)
+    for clock in clocks:
+        lost[lost] = in_gaps(clock, t[lost] - late[name])
+    return lost
 
 
 def _interpolated(sources: dict[str, Column], mapping: LogMapping, where: str) -> set[str]:
