@@ -1192,6 +1192,15 @@ def test_a_wrench_is_that_of_the_axis_whatever_the_order_of_columns(tmp_path: Pa
     assert guesses["yaw_moment"].doubt.endswith("is it in N m?")
     assert [guesses[n].entry["unit"] for n in wrench] == ["N", "N", "N m"]
     assert not any(name in question for question in found.questions for name in wrench)
+    assert not any("too: which columns have what acted on it" in question for question in found.questions)
+    both = dict.fromkeys(
+        [*columns, *(f"{kind}.{n}" for kind in ("zz_given", "desired") for n in columns)], 50.0
+    )
+    _, found = _guesses(tmp_path, own, **both)
+    (asked,) = (question for question in found.questions if "have what acted on it" in question)
+    assert asked.startswith(
+        f"{', '.join(f'zz_given.{n}' for n in columns)} may be the force on the vehicle, too"
+    )
 
 
 def test_a_moment_that_a_draft_reads_in_newton_metres_is_read(tmp_path: Path) -> None:

@@ -161,7 +161,7 @@ def guess_table(
     read += engine if "B_net" not in driving else []
     used = {*columns_of(time), *turned, *globe, *(g.column for g in read)}
     used |= {str(g.entry.get("fresh", "")) for g in read}
-    questions = _questions(vehicle, read, [n for n in names if n.column not in used])
+    questions = _questions(vehicle, read, [n for n in full if n.column not in used | dead])
     questions += [_THINGS.format(things, path)] if (things := number_of_things(data)) else []
     questions += two_places((known, motion, globe), data, dead) + _on_flags([*flags], used | dead)
     reading, gaps = _with_gaps(
@@ -242,9 +242,13 @@ def _questions(vehicle: Vehicle | None, read: Sequence[Guess], left: Sequence[Na
     """Questions on what has no column, and on forces among the columns that are `left`."""
     commands = vehicle.command_names if vehicle else ()
     lacking = [c for c in commands if c not in {g.channel for g in read}]
-    wrench = [n.column for n in left if n.force]
+    wrench, axes = [n for n in left if n.force], _axes(vehicle)
     asked = without_motion(vehicle, {g.channel for g in read}) + no_column(lacking)
-    return [*asked, _WRENCH.format(", ".join(wrench))] if lacking and wrench else asked
+    if lacking and wrench:
+        return [*asked, _WRENCH.format(", ".join(n.column for n in wrench))]
+    taken = {axes[g.channel] for g in read if g.channel in axes}
+    same = [n.column for n in wrench if n.force in taken and not WANTED & {*n.words}]
+    return [*asked, _SAME_FORCE.format(", ".join(same))] if same else asked
 
 
 def _on_flags(flags: Sequence[str], known: Container[str]) -> list[str]:
@@ -258,6 +262,10 @@ _WRENCH = (
     "{} may be the force on the whole vehicle. Where it was computed or measured, state generalised_forces "
     "in the vehicle file; if a controller asked for it, state a thruster with a wrench for each, whose "
     "gain can then be estimated"
+)
+_SAME_FORCE = (
+    "{} may be the force on the vehicle, too: which columns have what acted on it? What a controller demands "
+    "acts only while it is in charge"
 )
 _TEXTS = (
     "'{}' has cells that are not numbers, such as '{}' ({} of them): is it right to take them as missing?"
@@ -408,9 +416,10 @@ def _is_called_like_a_command(name: Name, names: Sequence[Name], vehicle: Vehicl
     return not any(n != name and n.is_command and n.drives(called, axes) < DISTANCES.no_fit for n in names)
 
 
-def _axes(vehicle: Vehicle) -> dict[str, str]:
+def _axes(vehicle: Vehicle | None) -> dict[str, str]:
     """The only force or moment of commands that are named like one."""
-    alone = {t.name: np.flatnonzero(t.wrench) for t in vehicle.thrusters if is_force(t.name)}
+    thrusters = vehicle.thrusters if vehicle else ()
+    alone = {t.name: np.flatnonzero(t.wrench) for t in thrusters if is_force(t.name)}
     return {f: f for f in FORCES} | {n: FORCES[at[0]] for n, at in alone.items() if len(at) == 1}
 
 
