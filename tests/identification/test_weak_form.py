@@ -12,6 +12,7 @@ from tests.identification.logs_of import runs_of, vehicle_of
 from tests.identification.surge import TRUTH, surge_run, surge_vehicle
 from tests.quick import first_quick
 from undertow.codegen.functions import Functions
+from undertow.identification.diagnosis.verdict import estimate
 from undertow.identification.estimation.data import prepare, white_noise
 from undertow.identification.estimation.inputs import shifted_mean
 from undertow.identification.estimation.residual import WeakModel
@@ -53,6 +54,22 @@ def test_one_thruster_gives_what_a_known_force_gives() -> None:
     fits = [fit_weak(vehicle, prepare([log], vehicle)) for vehicle, log in ((known, run), (driven, alike))]
     for name in TRUTH:
         assert fits[1].values[name] == pytest.approx(fits[0].values[name], rel=1e-6)
+
+
+def test_coefficients_of_the_size_of_a_large_ship_are_estimated_with_their_errors() -> None:
+    """Yaw moments of a tanker are 1e12 to 1e17 in SI units: the same motion by forces so much larger."""
+    size, vehicle, run = 1e15, surge_vehicle(), surge_run(0.01)
+    values = {n: replace(v, value=size * v.value) for n, v in vehicle.values.items()}
+    large = vehicle.with_values(values)
+    loaded = replace(run, channels={"u": run.channels["u"], "tau_X": size * run.channels["tau_X"]})
+    fits = [fit_weak(v, prepare([log], v)) for v, log in ((vehicle, run), (large, loaded))]
+    for name in TRUTH:
+        errors = [fit.standard_errors[name] for fit in fits]
+        assert fits[1].values[name] == pytest.approx(size * fits[0].values[name], rel=1e-4)
+        assert errors[1] == pytest.approx(size * errors[0], rel=1e-3)
+        shown = estimate(fits[1], name, large).standard_error
+        assert shown == pytest.approx(errors[1])
+        assert fits[1].vehicle.value_of(name).sigma == pytest.approx(errors[1])
 
 
 def test_uneven_samples_are_integrated_as_well() -> None:

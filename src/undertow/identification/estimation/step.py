@@ -36,14 +36,16 @@ class StepSettings:
     largest_step: float = 10.0
     # The same as a share of the distance of its bounds: a tether may come from far away.
     share_of_bounds: float = 0.02
-    # Square of a derivative, in units of the noise per SI unit, below which there is nothing but rounding.
+    # Square of what a parameter changes over the distance of its bounds, or one SI unit if that is more, in
+    # units of the noise, below which there is nothing but rounding. Those of ships reach 1e17 SI units.
     no_effect: float = 1e-24
     # Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
     most_cuts: int = 60
     # Norm of the residual of the dual problem below which no step satisfies all inequalities.
     infeasible: float = 1e-9
-    # Standard error, in the SI unit, from which the data do not determine a parameter.
-    undetermined: float = 1e12
+    # Standard error, in the SI unit, from which the data do not determine a parameter: far beyond any value
+    # of a ship, and far below the 1e50 and more that the inverse of no information gives.
+    undetermined: float = 1e24
     # Relative distance, of values of at least the second number, SI, up to which a value is at its bound.
     at_bound: float = 1e-9
     least_size: float = 1e-6
@@ -313,7 +315,9 @@ def bounded_step(
     cuts: Sequence[Cut] = (),
 ) -> Array:
     """Bounded least-squares step of the linearised problem; what does not affect the data stays as it is."""
-    observed = np.sum(at.J**2, axis=0) + prior[1] ** 2 > SETTINGS.no_effect
+    span = bounds[1] - bounds[0]
+    reach = np.maximum(np.where(np.isfinite(span), span, 1.0), 1.0)
+    observed = (np.sum(at.J**2, axis=0) + prior[1] ** 2) * reach**2 > SETTINGS.no_effect
     step = np.zeros(len(now))
     if observed.any():
         chosen = Linearised(at.r, at.J[:, observed], at.start)
