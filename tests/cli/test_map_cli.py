@@ -983,6 +983,7 @@ def test_numbered_columns_of_a_vector_are_its_axes_and_dead_ones_are_none(tmp_pa
     }
     assert (guesses["psi"].entry["unit"], guesses["r"].entry["unit"]) == ("deg", "deg/s")
     assert guesses["port"].entry["power"] == 2
+    assert guesses["port"].doubt.endswith("as scale, or state [thrusters.propeller] in the vehicle file")
     reasons = {column: reason for reason, names in found.ignored.items() for column in names}
     assert reasons["speed_surge"].startswith("never changes")
     assert reasons["tau_N"].startswith("a force on the vehicle")

@@ -595,7 +595,8 @@ def _command(
     elif name.counts == "rev/s":
         entry["power"] = 2
         turn = f"1 {name.unit}" if name.unit in TURNS else "n = 1"
-        doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale"
+        doubt = f"revolutions, read as n |n|: what thrust in N does {turn} give? Write it as scale, or state "
+        doubt += "[thrusters.propeller] in the vehicle file"
     elif normalised_by and len(pulses) and _are_within(pulses, *normalised_by):
         entry |= _normalisation(*normalised_by, values)
         about = f"read as -1 ... 1 about {normalised_by[0]:g}, as its curve: is that right?"
