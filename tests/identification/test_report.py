@@ -553,6 +553,10 @@ def test_warnings_of_the_doctor_stand_below_the_verdict(capsys: pytest.CaptureFi
     assert "pose rate" not in said
     show(SimpleNamespace(diagnosis=_diagnosis()))  # type: ignore[arg-type]
     assert "undertow doctor warns" not in capsys.readouterr().out
+    page = _words(render_report(diagnosis, _data()))
+    assert "undertow doctor: mini-auv: u is 0.2 s late: a delay corrects it" in page
+    assert "pose rate" not in page
+    assert "undertow doctor" not in _words(render_report(_diagnosis(), _data()))
 
 
 def test_an_effect_and_why_it_is_not_named_are_kept_apart(capsys: pytest.CaptureFixture[str]) -> None:
