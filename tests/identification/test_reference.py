@@ -135,13 +135,18 @@ def test_a_disturbance_has_a_size_and_a_memory(rms: float, memory: float) -> Non
 
 
 def test_noise_is_no_disturbance_and_what_is_stated_is_shown() -> None:
-    mapping = LogMapping(disturbance={"X": "0.4 N"})
+    stated = {"columns": {"speed": {"channel": "u", "noise": 0.001}}, "disturbance": {"X": "0.4 N"}}
+    mapping = LogMapping.model_validate(stated)
     runs = [replace(surge_run(s, 0.0, 1.0), sigma={"u": 0.001}, mapping=mapping) for s in range(4)]
     fit, _ = _split(surge_vehicle(), runs)
     floors = noise_floors(fit, fit.data)
     (found,) = floors.disturbances
     assert (found.rms, found.correlation_time, found.stated) == (0.0, None, 0.4)
     assert floors.sensors[0].stated
+    # That of a series on a clock of its own is estimated from its reports, before the fit.
+    estimated = [replace(run, mapping=LogMapping(disturbance={"X": "0.4 N"})) for run in runs]
+    fit, _ = _split(surge_vehicle(), estimated)
+    assert not noise_floors(fit, fit.data).sensors[0].stated
 
 
 def test_the_sentence_says_what_can_be_predicted_and_what_cannot() -> None:

@@ -13,6 +13,7 @@ from undertow.identification.doctor.sampling import was_filtered
 from undertow.identification.estimation.data import WeakData
 from undertow.identification.estimation.fitted import Fitted
 from undertow.identification.estimation.test_functions import DEGREE
+from undertow.identification.logs.opening import stated_noise
 from undertow.identification.logs.reading import stated_disturbance
 from undertow.identification.logs.run import UNITS
 from undertow.model.symbols import FORCE, FORCE_UNITS
@@ -72,7 +73,7 @@ def _channel_noise(data: WeakData) -> list[ChannelNoise]:
             channel=n,
             unit=UNITS[n],
             sigma=float(sigma),
-            stated=any(n in r.sigma and n not in r.derived for r in data.runs),
+            stated=any(n in stated_noise(r) and n not in r.derived for r in data.runs),
             cut_off=cut_offs.get(n),
         )
         for n, sigma in zip(data.names, data.sigma, strict=True)

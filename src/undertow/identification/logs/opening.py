@@ -430,14 +430,17 @@ def save_log(run: Run, out: Path) -> Path | None:
     return beside if stated is not None else None
 
 
+def stated_noise(run: Run) -> set[str]:
+    """Channels whose noise was stated: that of slow ones is estimated where it is not."""
+    if run.mapping is None:
+        return set(run.sigma)
+    stated = (c.channel for c in run.mapping.columns.values() if c.noise is not None)
+    return {turned_name(channel, run.mapping.frames.position) for channel in stated}
+
+
 def _stated_mapping(run: Run) -> LogMapping | None:
     """The mapping with the stated noise, disturbance and rig of a run; None where none is stated."""
-    given = run.mapping or LogMapping()
-    if run.mapping is None:
-        named = set(run.sigma)
-    else:  # that of slow channels is estimated where it is not stated
-        stated_noise = (c.channel for c in given.columns.values() if c.noise is not None)
-        named = {turned_name(channel, given.frames.position) for channel in stated_noise}
+    given, named = run.mapping or LogMapping(), stated_noise(run)
     noise = {name: sigma for name, sigma in run.sigma.items() if name in named and run.has(name)}
     if not (noise or given.disturbance or run.held):
         return None
