@@ -37,7 +37,7 @@ class StepSettings:
     # The same as a share of the distance of its bounds: a tether may come from far away.
     share_of_bounds: float = 0.02
     # Square of what a parameter changes over the distance of its bounds, or one SI unit if that is more, in
-    # units of the noise, below which there is nothing but rounding. Those of ships reach 1e17 SI units.
+    # units of the noise, below which there is nothing but rounding: coefficients of ships reach 1e17 in SI.
     no_effect: float = 1e-24
     # Cutting planes that a step may need; each is a direction of a matrix of at most six motions.
     most_cuts: int = 60
