@@ -95,7 +95,7 @@ Hz on a boat, both simulated exactly, the sums of squares over the validation ru
 2, where 15 would be significant. Which of them leads such a set is chance.
 
 Seconds are those of the diagnosis alone, without the simulation, with whatever other load the machine had;
-where one core worked, the goal is compared with the time of the processor, which other work does not lengthen.
+where one core worked, the goal is compared with the time of the processor, which other work leaves alone.
 
 ## Other seeds
 
@@ -106,8 +106,8 @@ in the tables above.
   first and named alone, weak 5 of 5 first and in the set, pairs 5 of 5, no false alarm in 14 complete models;
   none of 6 effects outside the catalogue claimed (4 unexplained, one helps_prediction, one taken for a
   disturbance). Two of the harder cases named an effect beside the right one (no_rigid_body_coriolis: or lift;
-  no_added_mass: and added_mass_coriolis). Median time of the processor with six degrees of freedom 39 s on one
-  core, 30 cases.
+  no_added_mass: and added_mass_coriolis). Median time of the processor with six degrees of freedom 39 s on
+  one core, 30 cases.
 - **303004**, commit 970b9d8a, 17 effects outside the catalogue: none claimed.
 - **811237, 664421**, commits d04e24a to 31cb574, 454 cases, before verdicts were graded: one wrong name,
   since corrected (tether_tension for a trim); strong 119 of 119 first and named alone, medium 95 of 96
