@@ -560,40 +560,39 @@ def highest_peak(fitted: Series, validation: Series, fastest: float) -> Peak | N
     cell = 1.0 / max(fitted.length, validation.length)
     # Neighbours on both sides of the slowest frequency, too: slow forces have more power there than above.
     grid = np.arange(slowest / SETTINGS.neighbours, fastest, cell / SETTINGS.oversampling)
-    own = [_log_p_values(run, grid) for run in (*fitted.runs, *validation.runs)]
+    training, validating = fitted.runs, validation.runs
+    runs, judging = [*training, *validating], slice(len(training), None)
+    powers = np.array([_power_of_run(run, grid) for run in runs])
+    own = np.array([_log_p_values(run, p, grid) for run, p in zip(runs, powers, strict=True)])
     chances = _combined(own)
     place = int(np.argmin(np.where(grid < slowest, 1.0, chances)))
-    first, second = power(fitted, grid), power(validation, grid)
-    frequency = _peak_frequency(grid, first + second, place)
+    frequency = _peak_frequency(grid, powers.sum(axis=0), place)
     tried = SETTINGS.draws * (fastest - slowest) / cell
-    excess = _band_excess(second, frequency, grid, validation.length)
-    chance, confirmed = tried * chances[place], _combined(own[-len(validation.runs) :])[place]
+    excess = _band_excess(powers[judging].sum(axis=0), frequency, grid, validation.length)
+    chance, confirmed = tried * chances[place], _combined(own[judging])[place]
     chance = chance if confirmed < SETTINGS.confirmed else max(chance, confirmed)
     return Peak(frequency, excess, min(1.0, float(chance)))
 
 
-def _log_p_values(run: Series, grid: Array) -> Array:
+def _log_p_values(run: Series, power: Array, grid: Array) -> Array:
     """Logarithm of the p-value of the power at each frequency, by the background in the same run.
 
     The background is itself an estimate from a few neighbours: the ratio of both has an F distribution.
     """
-    powers, (low, high) = _power_of_run(run, grid), _neighbourhoods(grid, grid)
+    low, high = _neighbourhoods(grid, grid)
     independent = (grid[high - 1] - grid[low]) * np.ptp(run.t) / _MEDIAN_VARIANCE
-    ratio = powers / _background(powers, grid)
+    ratio = power / _background(power, grid)
+    # A run of one sample has none, and shows nothing.
     return np.asarray(f_ratio.logsf(ratio, 2, 2 * np.maximum(independent, 1e-3)))
 
 
-def _combined(log_p: Sequence[Array]) -> Array:
+def _combined(log_p: Array) -> Array:
     """p-values of several runs together (Fisher's method): none speaks for all by its power alone."""
     return np.asarray(chi2.sf(-2.0 * np.sum(log_p, axis=0), 2 * len(log_p)))
 
 
-def power(series: Series, grid: Array) -> Array:
-    """Sum of squares removed by a sine of each frequency, over all runs, with free phases."""
-    return np.asarray(sum(_power_of_run(s, grid) for s in series.runs))
-
-
 def _power_of_run(s: Series, grid: Array) -> Array:
+    """Sum of squares removed by a sine of each frequency, with a free phase."""
     wave = np.exp(-2j * np.pi * np.outer(grid, s.t - s.t[0]))
     return np.asarray(2.0 / len(s.t) * np.abs(wave @ s.r) ** 2)
 

@@ -48,7 +48,7 @@ class DescriptionSettings:
     """Thresholds for the description of a residual force."""
 
     most_terms: int = 4  # terms that are reported of one residual force
-    line_chance: float = 1e-4  # p-value above which a period is not reported; many frequencies are tried
+    line_chance: float = 1e-4  # p-value, for all frequencies tried, above which a period is not reported
     runs_chance: float = 1e-4  # p-value above which a difference between runs is not reported
     chance: float = 0.002  # p-value, over all terms of an equation, above which a term is not reported
     smallest_share: float = 0.1  # share of the excess over noise below which nothing is reported

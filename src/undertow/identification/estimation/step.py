@@ -316,7 +316,7 @@ def bounded_step(
 ) -> Array:
     """Bounded least-squares step of the linearised problem; what does not affect the data stays as it is."""
     span = bounds[1] - bounds[0]
-    reach = np.maximum(np.where(np.isfinite(span), span, 1.0), 1.0)
+    reach = np.where(np.isfinite(span), np.maximum(span, 1.0), 1.0)
     observed = (np.sum(at.J**2, axis=0) + prior[1] ** 2) * reach**2 > SETTINGS.no_effect
     step = np.zeros(len(now))
     if observed.any():

@@ -8,9 +8,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+
+
+@dataclass(frozen=True)
+class CellSettings:
+    """Settings for telling texts from numbers."""
+
+    rows_of_units: int = 3  # lines between names and numbers, at most: units, descriptions
+
+
+SETTINGS = CellSettings()
 
 # The names of a file of Tecplot, and lines that describe its rows.
 _VARIABLES = re.compile(
@@ -66,12 +77,10 @@ def without_units(table: pl.DataFrame) -> pl.DataFrame:
     if any(kind != pl.String for kind in table.schema.values()):
         return table
     begins = pl.all().str.contains(r"^\s*[-+]?\.?\d") & ~pl.all().str.contains(r"^\s*1/[A-Za-z]")  # "1/min"
-    numbered = table.head(_MOST_ROWS_OF_UNITS + 1).select(pl.any_horizontal(begins.fill_null(value=False)))
+    numbered = table.head(SETTINGS.rows_of_units + 1).select(pl.any_horizontal(begins.fill_null(value=False)))
     first = numbered.to_series().arg_true()
     return table.slice(first.item(0)) if len(first) else table
 
-
-_MOST_ROWS_OF_UNITS = 3
 
 # A date whose year comes first means the same whatever is between its numbers.
 DATE = r"^(\d{4})[-/._](\d{2})[-/._](\d{2})[T_ ]+(\d{2}:\d{2})"

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import polars as pl
 
+from .cells import SETTINGS as CELLS
 from .mapping import LogMapping
 from .table import DAMAGED, file_bytes, is_gzip, is_number, is_parquet, read_table
 
@@ -27,7 +28,7 @@ class TextSettings:
     lines: int = 300  # and lines: above a header there are fewer
     signs: str = "#%!*"  # with which comments begin, and no row
     delimiters: str = ";\t|, "  # in this order: a comma may be the decimal sign, a blank part of a name
-    below: int = 3  # lines between names and numbers, at most: units, descriptions
+    delimited: int = 50  # rows by which a delimiter is recognised where no line is a header
 
 
 TEXT = TextSettings()
@@ -96,7 +97,8 @@ def _is_header(rows: Rows) -> bool:
     # Each row may end with a delimiter.
     if any(len(names) != len(row) - (len(row) > len(names) and not row[-1]) for row in others):
         return False
-    first = next((k for k, row in enumerate(others[: 1 + TEXT.below]) if any(map(_is_number, row))), None)
+    begin = others[: 1 + CELLS.rows_of_units]
+    first = next((k for k, row in enumerate(begin) if any(map(_is_number, row))), None)
     if first is None:
         return False
     numeric = [k for k, cell in enumerate(others[first]) if _is_number(cell)]
@@ -123,5 +125,5 @@ def _has_decimal_commas(rows: Rows) -> bool:
 def _delimiter(table: pl.DataFrame) -> str | None:
     """The delimiter of the cells of a table read as one column: the sign that most of its lines have."""
     (name,) = table.columns
-    lines = [line.strip() for line in (name, *table[name].head(50).drop_nulls().cast(pl.String))]
+    lines = [line.strip() for line in (name, *table[name].head(TEXT.delimited).drop_nulls().cast(pl.String))]
     return next((s for s in ";\t| " if 2 * sum(s in line for line in lines) > len(lines)), None)
